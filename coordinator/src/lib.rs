@@ -10,7 +10,6 @@ pub mod archive;
 pub mod client;
 pub mod disk;
 pub mod export;
-pub mod forecast;
 mod gauges;
 mod grpc;
 mod mirror;

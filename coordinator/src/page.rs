@@ -23,7 +23,6 @@ mod perturbation;
 mod problem;
 mod rollouts;
 mod single_flight;
-mod speed;
 mod state;
 mod subsets;
 mod trace;

@@ -15,6 +15,6 @@ except ImportError as error:
 from .campaign import Campaign
 from .client import Client, Spec
 from .report import Comparison, Report
-from .status import Forecast, Speed, Status
+from .status import Forecast, Status
 
-__all__ = ["Campaign", "Client", "Comparison", "Forecast", "Report", "Spec", "Speed", "Status"]
+__all__ = ["Campaign", "Client", "Comparison", "Forecast", "Report", "Spec", "Status"]

@@ -85,12 +85,9 @@ class Client:
         self._connection.call("CreateCampaign", request)
         return Campaign(json.loads(text)["name"], self._connection, self._program)
 
-    def forecast(self, spec: Spec, *, policy_rate: float | None = None) -> Forecast:
-        """Returns the number of rollouts that `create` would create, the time that the currently
-        connected workers would take, and the bottleneck. Creates nothing.
-
-        policy_rate: maximal queries per second of all replicas of the policy's server together, as
-        `policy-gateway check` measures them."""
+    def forecast(self, spec: Spec) -> Forecast:
+        """Returns the number of rollouts that `create` would create, and the time that the
+        currently connected workers would take. Creates nothing."""
         text = _text(spec)
         rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
         suites = Counter(json.loads(row)["suite"] for row in rows)
@@ -102,7 +99,6 @@ class Client:
             rollouts=[
                 wire.SuiteRollouts(suite=suite, rollouts=count) for suite, count in rollouts.items()
             ],
-            policy_rate=policy_rate,
         )
         answer = self._connection.call("Forecast", request)
         return Forecast.of(rollouts, answer)

@@ -88,49 +88,13 @@ CAMPAIGNS = {item.name: COLUMNS[str(item.type)] for item in fields(Status)}
 
 
 @dataclass(frozen=True)
-class Speed:
-    """Breakdown of a rollout's time, and the bottleneck of a campaign's rate."""
-
-    #: Number of results with a breakdown of their time, from which the means are computed.
-    results: int
-    #: Mean seconds of one rollout: processor time of physics and of drawing, waiting time for the
-    #: policy's answers, and the rest of its duration.
-    physics_secs: float
-    drawing_secs: float
-    policy_secs: float
-    waiting_secs: float
-    #: Mean number of queries in a rollout.
-    policy_queries: float
-    #: `slots` (more slots would raise the rate), `cores` (all cores are busy) or `policy` (the
-    #: policy's server is at its limit); None if a worker does not report its number of cores.
-    bottleneck: str | None
-    #: Smallest number of slots that reaches the highest rate on these cores with this policy, and
-    #: the duration of all rollouts with that number of slots.
-    enough_slots: int | None
-    enough_slots_secs: float | None
-
-    @classmethod
-    def of(cls, message: wire.Speed) -> Speed:
-        """Converts a coordinator's message."""
-        bottleneck = wire.Speed.Bottleneck.Name(message.bottleneck)
-        is_known = message.HasField("enough_slots")
-        values = frames.fields(
-            message,
-            [item.name for item in fields(cls)],
-            bottleneck=bottleneck.removeprefix("BOTTLENECK_").lower() if is_known else None,
-            enough_slots_secs=message.enough_slots_secs if is_known else None,
-        )
-        return cls(**values)
-
-
-@dataclass(frozen=True)
 class Forecast:
     """The rollouts of a specification and their expected duration."""
 
     #: Rollouts per suite, replicates included.
     rollouts: Mapping[str, int]
     #: Number of live workers that can share a campaign, and number of their slots. If the workers
-    #: form several groups that cannot share a campaign, only the group that would finish first is
+    #: form several groups that cannot share a campaign, only the one with the most slots is
     #: counted.
     workers: int
     slots: int
@@ -143,11 +107,9 @@ class Forecast:
     is_of_policy: bool
     #: Suites without such a result, which are assumed to be as fast as the other suites.
     unmeasured_suites: tuple[str, ...]
-    #: Number of cores that these slots share; None if a worker does not report its number of cores.
-    cores: int | None
-    #: Breakdown of a rollout's time, and bottleneck; None if no such result has a breakdown of its
-    #: time.
-    speed: Speed | None
+    #: Number of slots up to which more help on the workers' cores, as slots wait for the policy;
+    #: None without such a result, or if a worker does not report its number of cores.
+    useful_slots: int | None
 
     @property
     def total(self) -> int:
@@ -162,7 +124,6 @@ class Forecast:
             [item.name for item in fields(cls)],
             rollouts=dict(rollouts),
             unmeasured_suites=tuple(message.unmeasured_suites),
-            cores=message.cores or None,
-            speed=Speed.of(message.speed) if message.HasField("speed") else None,
+            useful_slots=message.useful_slots if message.HasField("useful_slots") else None,
         )
         return cls(**values)

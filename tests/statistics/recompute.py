@@ -558,10 +558,7 @@ def components(rows):
     ms_c = k * of_task / (n - t)
     ms_t = k * sum(len(task) * (task.mean() - y.mean()) ** 2 for task in tasks) / (t - 1)
     sigma_c, sigma_t = max((ms_c - ms_e) / k, 0.0), max((ms_t - ms_c) / (k * m), 0.0)
-
-    def error(m, k):
-        return ((sigma_t + sigma_c / m + ms_e / (m * k)) / t) ** 0.5
-
+    variance = (sigma_t + sigma_c / m + ms_e / (m * k)) / t
     independent = y.mean() * (1 - y.mean()) / y.size
     return {
         "replicates": k,
@@ -569,10 +566,8 @@ def components(rows):
         "tasks": sigma_t,
         "configurations": sigma_c,
         "replicate": ms_e,
-        "design_effect": error(m, k) ** 2 / independent if independent > 0 else None,
-        "standard_error": error(m, k),
-        "one_more_replicate": error(m, k + 1),
-        "ten_more_configurations": error(m + 10, k),
+        "design_effect": variance / independent if independent > 0 else None,
+        "standard_error": variance**0.5,
     }
 
 

@@ -8,7 +8,7 @@ use libero_ctrl::{
 use scene::Sources;
 use sim::{CameraRequest, ObservationRequest, Renderer, Simulator, SimulatorConfig};
 use tests::files::open_pack;
-use worker::measure::open_loop::smooth_action;
+use worker::open_loop::smooth_action;
 
 /// Rounds over the tasks: the first five are the warm-up, the last five are compared with it.
 const ROUNDS: u16 = 15;

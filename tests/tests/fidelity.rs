@@ -14,7 +14,7 @@ use sim::{
 };
 use tests::fidelity::{Limits, RendererRelation, compare, find_tasks};
 use tests::files::{libero, primitives, shared, sources};
-use worker::measure::open_loop::smooth_action;
+use worker::open_loop::smooth_action;
 
 fn check_suite(suite: &str) {
     let test = format!("every_reference_task_of_{suite}_agrees_with_the_original");

@@ -34,7 +34,6 @@ const MAX_MACHINE_BYTES: usize = 128;
                       worker film --connect URL [OPTIONS]\n       \
                       worker preview --suite SUITE --task N --output DIR [OPTIONS]\n       \
                       worker variants [OPTIONS]\n       \
-                      worker bench [OPTIONS]\n       \
                       worker assets fetch|list|path|verify [OPTIONS]\n       \
                       worker completions SHELL"
 )]
@@ -103,10 +102,6 @@ pub enum Command {
     Variants(Box<VariantsArguments>),
     /// Lists, verifies and fetches asset packs
     Assets(AssetsArguments),
-    /// Measures how many control steps and frames per second 1, 2, 4, … slots
-    /// make on this machine, and recommends a number of slots; needs no
-    /// coordinator and no policy
-    Bench(BenchArguments),
     /// Prints a script that completes this program's commands in a shell
     Completions {
         /// The shell
@@ -121,10 +116,6 @@ pub enum Command {
     /// The process of one slot, started by a worker
     #[command(hide = true)]
     Slot(SlotArguments),
-    /// The process of one slot that is measured, started by `worker bench` and
-    /// `--slots auto`
-    #[command(hide = true)]
-    BenchSlot(BenchSlotArguments),
 }
 
 /// Arguments of a worker that serves a coordinator.
@@ -133,9 +124,8 @@ pub struct ServeArguments {
     /// URL of the coordinator
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
     pub connect: String,
-    /// Rollouts at a time, each in a process of its own: a number, or `auto` for the number that a
-    /// measurement of a few seconds recommends before the worker registers, limited by cores and
-    /// memory
+    /// Rollouts at a time, each in a process of its own: a number, or `auto` for one
+    /// per core, or as many as fit into memory
     #[arg(long, value_name = "N|auto", default_value = "1")]
     pub slots: SlotCount,
     /// Longest time for rollouts in flight after the worker is asked to end; then they are given
@@ -164,7 +154,7 @@ pub struct ServeArguments {
 pub enum SlotCount {
     /// A fixed number.
     Given(NonZeroUsize),
-    /// The number that a measurement recommends.
+    /// One per core, if memory allows.
     Auto,
 }
 
@@ -210,56 +200,6 @@ pub struct SlotArguments {
     /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,
-}
-
-/// Arguments of `worker bench`.
-#[derive(Debug, Args)]
-pub struct BenchArguments {
-    /// Task that the slots simulate.
-    #[command(flatten)]
-    pub load: LoadArguments,
-    /// Numbers of slots, separated by commas [default: the number that should
-    /// keep all cores busy, its double, and all powers of 2 below the double]
-    #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
-    pub slots: Vec<NonZeroUsize>,
-    /// Duration of the measurement of each number of slots, seconds
-    #[arg(long, value_name = "SECS", default_value = "20", value_parser = seconds(0.1..=3600.0))]
-    pub secs: f64,
-    /// Simulator, assets and renderer.
-    #[command(flatten)]
-    pub simulator: SimulatorArguments,
-}
-
-/// Arguments of a measured slot's process.
-#[derive(Debug, Args)]
-pub struct BenchSlotArguments {
-    /// Task that the slots simulate.
-    #[command(flatten)]
-    pub load: LoadArguments,
-    /// Simulator, assets and renderer.
-    #[command(flatten)]
-    pub simulator: SimulatorArguments,
-}
-
-/// Task that measured slots simulate.
-#[derive(Clone, Copy, Debug, Args)]
-pub struct LoadArguments {
-    /// The task, SUITE/N
-    #[arg(long, value_name = "SUITE/N", default_value = "libero_object/0")]
-    pub task: TaskRef,
-    /// Control steps between two queries of the policy, each with frames of both cameras
-    #[arg(long, value_name = "K", default_value = "1", value_parser = number(1..=1000_u32, "control steps"))]
-    pub execute: u32,
-    /// Time that the policy takes to answer, seconds; slots wait this long at every query
-    #[arg(long, value_name = "SECS", default_value = "0", value_parser = seconds(0.0..=60.0))]
-    pub policy_secs: f64,
-}
-
-impl LoadArguments {
-    /// Returns the task that is simulated by default.
-    pub fn default_task() -> TaskRef {
-        TaskRef::new(Suite::Object, 0).expect("the suite has a first task")
-    }
 }
 
 /// Simulator, assets, renderer and look.
@@ -573,10 +513,5 @@ fn machine_name(text: &str) -> Result<String, &'static str> {
         _ => Err("write 1 to 128 visible ASCII characters without spaces"),
     }
 }
-
-fn slots(text: &str) -> Result<NonZeroUsize, &'static str> {
-    text.parse().map_err(|_| "write whole numbers of slots, 1 or more, with commas between them")
-}
-
 #[cfg(test)]
 mod tests;

@@ -3,8 +3,7 @@
 //!
 //! There are two kinds of process: [`supervise`] is the parent, which calls the coordinator and
 //! has no simulator; [`slot`] is a child, which simulates and has no connection to the
-//! coordinator. [`rollout`] runs one job in a child. [`measure`] finds the number of children that
-//! a machine runs best.
+//! coordinator. [`rollout`] runs one job in a child. [`slots`] limits the number of children.
 
 #![forbid(unsafe_code)]
 
@@ -16,10 +15,10 @@ pub mod film;
 mod filming;
 mod grpc;
 pub mod ids;
-pub mod measure;
 mod memory;
 pub mod message;
 mod observation;
+pub mod open_loop;
 pub mod parent;
 mod picture;
 pub mod policy;
@@ -28,6 +27,7 @@ pub mod rescue;
 pub mod rollout;
 pub mod single;
 pub mod slot;
+pub mod slots;
 pub mod stage;
 mod stopwatch;
 pub mod supervise;

@@ -22,9 +22,8 @@ use tokio::sync::mpsc;
 use transport::{ClientArguments, Role};
 use worker::actor::Actor;
 use worker::args::{
-    Arguments, BenchArguments, BenchSlotArguments, Command, FilmArguments, LoadArguments,
-    PreviewArguments, RescueArguments, RolloutArguments, ServeArguments, SimulatorArguments,
-    SlotArguments, SlotCount, VariantsArguments,
+    Arguments, Command, FilmArguments, PreviewArguments, RescueArguments, RolloutArguments,
+    ServeArguments, SimulatorArguments, SlotArguments, SlotCount, VariantsArguments,
 };
 use worker::assets::Provider;
 use worker::child::SlotProgram;
@@ -34,7 +33,7 @@ use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient, ROLLOUT_SETTINGS};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
-use worker::{assets, film, measure, preview, rescue, single, slot, variants};
+use worker::{assets, film, preview, rescue, single, slot, slots, variants};
 
 /// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
 /// are enough; with LIBERO's assets each scene takes some hundred MB unless mapped from a file.
@@ -53,8 +52,6 @@ fn main() -> ExitCode {
     terminal::log("info");
     let result = match (arguments.command, arguments.serve) {
         (Some(Command::Slot(slot)), _) => run_slot(&slot),
-        (Some(Command::BenchSlot(slot)), _) => run_bench_slot(&slot),
-        (Some(Command::Bench(arguments)), _) => run_bench(&arguments),
         (Some(Command::Rollout(rollout)), _) => run_rollout(*rollout),
         (Some(Command::Rescue(rescue)), _) => run_rescue(*rescue),
         (Some(Command::Variants(arguments)), _) => run_variants(*arguments),
@@ -124,40 +121,6 @@ fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
     Ok(slot::run(open_simulator(&arguments.simulator)?, &access)?)
 }
 
-fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
-    let LoadArguments { task, execute, policy_secs } = arguments.load;
-    let answer_after = Duration::from_secs_f64(policy_secs);
-    let simulator = open_simulator(&arguments.simulator)?;
-    Ok(measure::count(simulator, task, execute, answer_after)?)
-}
-
-fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
-    // The parent opens the simulator too, so that missing files are reported once, before any slot
-    // starts.
-    let simulator = open_simulator(&arguments.simulator)?;
-    let LoadArguments { task, execute, policy_secs } = arguments.load;
-    assets::provide(&simulator.pack, &simulator.sources, [task])?;
-    let pack = simulator.pack.name();
-    let mut slot = program_of("bench-slot", this_program()?, &arguments.simulator, &simulator);
-    for (flag, value) in [
-        ("--task", task.to_string()),
-        ("--execute", execute.to_string()),
-        ("--policy-secs", policy_secs.to_string()),
-    ] {
-        slot.arguments.extend([flag.into(), value.into()]);
-    }
-    let plan = measure::Plan {
-        title: format!("{task}, assets {pack}, --execute {execute}"),
-        numbers: arguments.slots.iter().map(|number| number.get()).collect(),
-        secs: arguments.secs,
-        execute,
-        policy_secs,
-        scenes: CACHED_SCENES,
-        program: slot,
-    };
-    Ok(measure::bench(plan, &mut std::io::stdout())?)
-}
-
 fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
     let task = TaskRef::new(arguments.suite, arguments.task)?;
     let simulator = open_simulator(&arguments.simulator)?;
@@ -179,7 +142,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     let simulator = open_simulator(&arguments.simulator)?;
     let at_a_time = match (arguments.at_a_time, arguments.simulator.renderer) {
         (Some(number), _) => number,
-        (None, Renderer::Software) => measure::limits::films()?,
+        (None, Renderer::Software) => slots::fitting(1)?,
         // All rollouts share one graphics device.
         (None, _) => NonZeroUsize::MIN,
     };
@@ -438,22 +401,15 @@ fn run_worker(
     let slots = match arguments.slots {
         SlotCount::Given(slots) => {
             // The memory needs of a custom slot program are unknown.
-            if !has_custom_slot_program && let Some(warning) = measure::limits::check(slots.get())?
-            {
+            if !has_custom_slot_program && let Some(warning) = slots::check(slots.get())? {
                 tracing::warn!("{warning}");
             }
             slots
         }
         SlotCount::Auto => {
-            // The same load as `worker bench` without options.
-            let task = LoadArguments::default_task();
-            assets::provide(&simulator.pack, &simulator.sources, [task])?;
-            let program = program.clone();
-            let slot = program_of("bench-slot", program, &simulator_arguments, &simulator);
-            let chosen = measure::choose_slots(slot, CACHED_SCENES)
-                .context("choose --slots by measurement (`--slots N` needs none)")?;
-            tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.reason);
-            chosen.slots
+            let slots = slots::fitting(CACHED_SCENES)?;
+            tracing::info!("--slots auto: {slots}, one per core, if memory allows");
+            slots
         }
     };
     let host = host_name();
@@ -536,28 +492,10 @@ fn slot_program(
     access: &ClientArguments,
     simulator: &SimulatorConfig,
 ) -> SlotProgram {
-    let mut slot = program_of("slot", program, arguments, simulator);
-    // Credentials are passed as files only: a token in an argument would show in process lists.
-    for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
-        if let Some(file) = file {
-            slot.arguments.extend([flag.into(), file.into()]);
-        }
-    }
-    slot
-}
-
-/// Returns the command line of `program` in a simulating mode (`slot` or `bench-slot`), with the
-/// worker's assets, sources, renderer, look and scene folder.
-fn program_of(
-    mode: &str,
-    program: PathBuf,
-    arguments: &SimulatorArguments,
-    simulator: &SimulatorConfig,
-) -> SlotProgram {
     let mut slot = SlotProgram {
         program,
         arguments: vec![
-            mode.into(),
+            "slot".into(),
             "--assets".into(),
             arguments.assets.clone().into(),
             "--pack-digest".into(),
@@ -572,6 +510,12 @@ fn program_of(
     };
     if let Some(scenes) = &arguments.scenes {
         slot.arguments.extend(["--scenes".into(), scenes.clone()]);
+    }
+    // Credentials are passed as files only: a token in an argument would show in process lists.
+    for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {
+        if let Some(file) = file {
+            slot.arguments.extend([flag.into(), file.into()]);
+        }
     }
     slot
 }

@@ -11,8 +11,8 @@ use scene::{AssetPack, Sources};
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use worker::ids::random_id;
-use worker::measure::open_loop::assignment;
 use worker::message::{FailureKind, Finished};
+use worker::open_loop::assignment;
 use worker::rollout::{Simulated, Step, Watcher, run};
 use worker::stage::Stage;
 

@@ -7,6 +7,7 @@ use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_pars
 use report::{Comparison, Document, FamilyComparison, Subject};
 
 use super::command::{CommandError, Connection, print_line, usage};
+use super::json;
 
 #[derive(Args, Debug)]
 pub(super) struct CompareArguments {
@@ -91,11 +92,10 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     if let [a, b] = subjects.as_slice()
         && let Some(comparison) = FamilyComparison::of(a, b).map_err(anyhow::Error::from)?
     {
-        let text = match arguments.json {
-            true => comparison.json().map_err(anyhow::Error::from)?,
-            false => comparison.text(),
+        return match arguments.json {
+            true => json::print(&comparison),
+            false => Ok(print_line(comparison.text().trim_end())?),
         };
-        return Ok(print_line(text.trim_end())?);
     }
     if subjects.iter().any(|subject| subject.protocol.is_some()) {
         return Err(usage(anyhow!(
@@ -109,9 +109,8 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     };
     let setups = [&a.subject.setups, &b.subject.setups];
     let comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
-    let text = match arguments.json {
-        true => comparison.json().map_err(anyhow::Error::from)?,
-        false => comparison.text(),
-    };
-    Ok(print_line(text.trim_end())?)
+    match arguments.json {
+        true => json::print(&comparison),
+        false => Ok(print_line(comparison.text().trim_end())?),
+    }
 }

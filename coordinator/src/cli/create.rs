@@ -111,11 +111,6 @@ pub(super) struct CreateArguments {
     /// Print the specification in JSON, as --spec reads it, and create nothing.
     #[arg(long, conflicts_with = "dry_run")]
     print_spec: bool,
-    /// With --dry-run: maximum rate of the policy's server, all replicas together, in queries per
-    /// second, as `policy-gateway check` measures it.
-    #[arg(long, value_name = "N", requires = "dry_run", hide_short_help = true,
-        value_parser = decimal(0.001..=1e6, "queries per second"))]
-    policy_rate: Option<f64>,
     /// With --dry-run: print JSON.
     #[arg(long, requires = "dry_run")]
     json: bool,
@@ -291,7 +286,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     if arguments.dry_run {
         let client = arguments.connection.client_retrying_for(Duration::ZERO)?;
         let planning = planning::plan(&campaign);
-        let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
+        let answer = forecast::request(&client, &campaign).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);
         }

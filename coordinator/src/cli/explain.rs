@@ -11,6 +11,7 @@ use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::create::{RECORDS, enum_parser};
+use super::json;
 use super::search::{CreateFlags, NextRow, Search};
 
 /// Most replicates of one subset.
@@ -90,11 +91,10 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let no_findings =
         || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
     let findings = Findings::of(&subject).map_err(usage)?.ok_or_else(no_findings)?;
-    let text = match arguments.json {
-        true => findings.json().map_err(anyhow::Error::from)?,
-        false => findings.text(),
-    };
-    Ok(print_line(text.trim_end())?)
+    match arguments.json {
+        true => json::print(&findings),
+        false => Ok(print_line(findings.text().trim_end())?),
+    }
 }
 
 /// Returns the next rollouts: the rows of the explained campaign, restricted to some axes.

@@ -1,17 +1,15 @@
-//! Forecast of a campaign's duration for `coordinator campaign create --dry-run`, from the speeds
-//! that the workers of a running coordinator have measured.
+//! Forecast of a campaign's duration for `coordinator campaign create --dry-run`, from the rollouts
+//! that the workers of a running coordinator have finished.
 
 use std::collections::BTreeMap;
 
 use coordinator::client::{Client, Service};
-use coordinator::forecast;
 use coordinator::words::duration_text;
 use libero_ctrl::{Condition, RolloutId};
-use proto::coordinator::speed::Bottleneck;
-use proto::coordinator::{self as wire, ForecastRequest, ForecastResponse, SuiteRollouts};
+use proto::coordinator::{ForecastRequest, ForecastResponse, SuiteRollouts};
 use queue::expand::{NewCampaign, NewJob};
 use serde::Serialize;
-use terminal::wrapped;
+use terminal::{counted, wrapped};
 
 use super::command::CommandError;
 use super::json;
@@ -22,14 +20,13 @@ use super::planning::Planned;
 pub(super) async fn request(
     client: &Client,
     campaign: &NewCampaign,
-    policy_rate: Option<f64>,
 ) -> Result<ForecastResponse, String> {
     let mut rollouts: BTreeMap<&str, u64> = BTreeMap::new();
     for job in &campaign.jobs {
         let suite = job.task.split('/').next().unwrap_or_default();
         *rollouts.entry(suite).or_default() += 1;
     }
-    request_for_suites(client, &campaign.policy, rollouts, policy_rate).await
+    request_for_suites(client, &campaign.policy, rollouts).await
 }
 
 /// Requests a forecast for the given number of rollouts of each suite.
@@ -37,14 +34,12 @@ pub(super) async fn request_for_suites(
     client: &Client,
     policy: &str,
     rollouts: impl IntoIterator<Item = (&str, u64)>,
-    policy_rate: Option<f64>,
 ) -> Result<ForecastResponse, String> {
     let to_message =
         |(suite, rollouts): (&str, u64)| SuiteRollouts { suite: suite.to_owned(), rollouts };
     let request = ForecastRequest {
         policy: policy.to_owned(),
         rollouts: rollouts.into_iter().map(to_message).collect(),
-        policy_rate,
     };
     let answer = client.call(request, Service::forecast).await;
     answer.map_err(|error| format!("failed to {error}"))
@@ -78,10 +73,40 @@ fn paper_hours(campaign: &NewCampaign) -> impl Iterator<Item = (&'static str, f6
 
 /// Describes a forecast, or the error that prevented it, for a terminal.
 pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
-    match answer {
-        Ok(forecast) => forecast::describe(forecast, policy),
-        Err(problem) => format!("no forecast of its duration: {problem}"),
+    let forecast = match answer {
+        Ok(forecast) => forecast,
+        Err(problem) => return format!("no forecast of its duration: {problem}"),
+    };
+    let workers = counted(forecast.workers, "worker");
+    let Some(secs) = forecast.secs else {
+        let reason = match forecast.workers {
+            0 => "no worker is connected".to_owned(),
+            _ => format!(
+                "on the {workers} connected now no rollout was finished in the last week. A \
+                 campaign with `--configs 0` and one task of each suite measures them"
+            ),
+        };
+        return wrapped("", 2, &format!("no forecast of its duration: {reason}"));
+    };
+    let duration = duration_text(secs);
+    let slots = counted(forecast.slots, "slot");
+    let measured_policies = match forecast.is_of_policy {
+        true => format!("of {policy}"),
+        false => format!("of other policies, since {policy} has none"),
+    };
+    let results = counted(forecast.results, "recent rollout");
+    let mut words = format!(
+        "about {duration} on the {workers} connected now ({slots}), if they run nothing else; \
+         measured on {results} {measured_policies}"
+    );
+    if !forecast.unmeasured_suites.is_empty() {
+        let suites = forecast.unmeasured_suites.join(", ");
+        words += &format!("; {suites}: not measured, assumed to be as fast as the rest");
     }
+    if let Some(useful) = forecast.useful_slots {
+        words += &format!("; more slots on their cores help up to {useful}");
+    }
+    wrapped("", 2, &words)
 }
 
 /// Describes the paper's hours for a terminal.
@@ -117,31 +142,13 @@ struct DryRun<'a> {
 
 json::forms! {
     Forecast from forecast: ForecastResponse {
-        workers: u32 = forecast.workers,
-        slots: u32 = forecast.slots,
-        cores: Option<u32> = (forecast.cores > 0).then_some(forecast.cores),
+        workers: u64 = forecast.workers,
+        slots: u64 = forecast.slots,
         secs: Option<f64> = forecast.secs,
         results: u64 = forecast.results,
         is_of_policy: bool = forecast.is_of_policy,
         unmeasured_suites: Vec<String> = forecast.unmeasured_suites.clone(),
-        speed: Option<Speed> = forecast.speed.as_ref().map(Speed::from_message),
-    }
-
-    Speed from speed: wire::Speed {
-        results: u64 = speed.results,
-        physics_secs: f64 = speed.physics_secs,
-        drawing_secs: f64 = speed.drawing_secs,
-        policy_secs: f64 = speed.policy_secs,
-        waiting_secs: f64 = speed.waiting_secs,
-        policy_queries: f64 = speed.policy_queries,
-        bottleneck: Option<&'static str> = match speed.bottleneck() {
-            Bottleneck::Unspecified => None,
-            Bottleneck::Slots => Some("slots"),
-            Bottleneck::Cores => Some("cores"),
-            Bottleneck::Policy => Some("policy"),
-        },
-        enough_slots: Option<u32> = speed.enough_slots,
-        enough_slots_secs: Option<f64> = speed.enough_slots_secs,
+        useful_slots: Option<u64> = forecast.useful_slots,
     }
 }
 

@@ -5,6 +5,7 @@ use clap::Args;
 use report::AxisInteractions;
 
 use super::command::{CommandError, Connection, print_line};
+use super::json;
 
 #[derive(Args, Debug)]
 pub(super) struct InteractionsArguments {
@@ -22,9 +23,8 @@ pub(super) async fn interactions(arguments: InteractionsArguments) -> Result<(),
     let client = arguments.connection.client()?;
     let subject = client.report(&arguments.campaign).await?;
     let interactions = AxisInteractions::of(&subject).map_err(anyhow::Error::from)?;
-    let text = match arguments.json {
-        true => interactions.json().map_err(anyhow::Error::from)?,
-        false => interactions.text(),
-    };
-    Ok(print_line(text.trim_end())?)
+    match arguments.json {
+        true => json::print(&interactions),
+        false => Ok(print_line(interactions.text().trim_end())?),
+    }
 }

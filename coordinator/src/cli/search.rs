@@ -277,7 +277,7 @@ impl Search<'_> {
     ) -> String {
         let rollouts = prospect.most_rollouts.iter();
         let rollouts = rollouts.map(|(suite, rollouts)| (suite.name(), *rollouts));
-        let forecast = forecast::request_for_suites(client, &source.policy, rollouts, None).await;
+        let forecast = forecast::request_for_suites(client, &source.policy, rollouts).await;
         let open = match source.rollouts.queued + source.rollouts.leased {
             0 => String::new(),
             open => format!(

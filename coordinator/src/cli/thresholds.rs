@@ -13,6 +13,7 @@ use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::write_figures;
+use super::json;
 use super::search::{CreateFlags, NextRow, Search};
 
 /// Printed below the long help.
@@ -89,11 +90,10 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     if let Some(folder) = &arguments.figures {
         write_figures(&figures::of_thresholds(&findings), folder)?;
     }
-    let text = match arguments.json {
-        true => findings.json().map_err(anyhow::Error::from)?,
-        false => findings.text(),
-    };
-    Ok(print_line(text.trim_end())?)
+    match arguments.json {
+        true => json::print(&findings),
+        false => Ok(print_line(findings.text().trim_end())?),
+    }
 }
 
 /// Returns the next rollouts: the configurations of the measured campaign at further radii.

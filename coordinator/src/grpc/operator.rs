@@ -13,7 +13,7 @@ use queue::Queue;
 use queue::clock::UnixMillis;
 use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
-use queue::read::{Campaign, Planned, View};
+use queue::read::{Campaign, View};
 use serde::Serialize;
 use tokio_stream::StreamExt;
 use tonic::{Request, Response, Status, Streaming};
@@ -25,7 +25,6 @@ use super::failure::{Answer, failed, invalid};
 use super::streams::{Large, Turns};
 use super::{moving, read};
 use crate::export;
-use crate::forecast;
 use crate::report;
 use crate::storage::Storage;
 
@@ -251,14 +250,18 @@ impl OperatorService for OperatorApi {
 
     async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<ForecastResponse> {
         let request = request.into_inner();
-        let planned = Planned {
-            policy: &request.policy,
-            rollouts: read::rollouts_by_suite(request.rollouts)?,
-            policy_rate: read::policy_rate(request.policy_rate)?,
-        };
+        let rollouts = read::rollouts_by_suite(request.rollouts)?;
         let mut view = self.view().await?;
-        let forecast = view.forecast(&planned).await.map_err(failed)?;
-        Ok(Response::new(forecast::message(forecast)))
+        let forecast = view.forecast(&request.policy, &rollouts).await.map_err(failed)?;
+        Ok(Response::new(ForecastResponse {
+            workers: forecast.workers,
+            slots: forecast.slots,
+            secs: forecast.secs,
+            results: forecast.results,
+            is_of_policy: forecast.is_of_policy,
+            unmeasured_suites: forecast.unmeasured_suites,
+            useful_slots: forecast.useful_slots,
+        }))
     }
 }
 

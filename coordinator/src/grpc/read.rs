@@ -182,16 +182,6 @@ pub(super) fn rollouts_by_suite(
     Ok(rollouts)
 }
 
-/// Reads the optional maximum rate of the policy server, queries per second.
-pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
-    match given {
-        Some(rate) if !rate.is_finite() || rate <= 0.0 => Err(invalid(format!(
-            "`policy_rate` is {rate}; it must be a number of queries per second above 0"
-        ))),
-        given => Ok(given),
-    }
-}
-
 /// Reads the filters of `ListJobs`.
 pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
     let non_empty = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());

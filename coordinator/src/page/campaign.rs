@@ -11,16 +11,12 @@ use super::bar::bar;
 use super::campaigns::progress;
 use super::layout::{Sheet, Tab, breakable, table};
 use super::problem::Problem;
-use super::speed::speed;
 use super::state::Page;
-use crate::forecast::message;
 
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
-    let pace = message(view.forecast_waiting(&campaign).await?);
     let status = view.status(campaign).await?;
-    let is_over = status.rollouts.queued == 0;
     let name = status.name.as_str();
     let records = document.analyses.iter().flat_map(|analysis| &analysis.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
@@ -37,7 +33,6 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         p.crumbs { a href="/" { "Campaigns" } }
         h1 { (name) }
         (progress(&status))
-        (speed(&pace, is_over))
         (::report::page_warnings(&document))
         @if is_paired { (progress_by_condition) }
         (::report::sections(&document, Some(&link)))

@@ -175,7 +175,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let _ = explained(&serve, &["--exhaustive"]).await;
     let partial_interactions = printed(&serve, &["interactions", "first-explained"]);
     assert!(
-        partial_interactions.contains("! these configurations were picked"),
+        partial_interactions.contains("These configurations were picked"),
         "{partial_interactions}"
     );
 }

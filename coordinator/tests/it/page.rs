@@ -107,16 +107,7 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
         ("/", &["Campaigns", "begun", "50 %", "2 of 4 rollouts", "expert"][..]),
         (
             "/campaigns/begun",
-            &[
-                "Progress by condition",
-                "camera",
-                "sensor",
-                "simultaneous",
-                "nominal",
-                "1 missing",
-                "A rollout takes 1.5 s: physics 33 %, drawing 17 %",
-                "Bottleneck: slots",
-            ],
+            &["Progress by condition", "camera", "sensor", "simultaneous", "nominal", "1 missing"],
         ),
         (
             configuration,

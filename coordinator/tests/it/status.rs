@@ -128,17 +128,16 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     // Workers must count as alive even if this machine is slow.
     let lease = ["--lease-secs", "3600"];
     let serve = Serve::start_with(folder.path(), &lease, std::process::Stdio::null());
-    let forecast_with = |more: &[&str]| {
-        let output = serve.command(&[&dry[..], more].concat());
+    let forecast = || {
+        let output = serve.command(&dry);
         assert!(output.status.success(), "{}", text(&output.stderr));
         // Line breaks may be anywhere.
         let words = text(&output.stdout).split_whitespace();
         words.collect::<Vec<_>>().join(" ")
     };
-    let forecast = || forecast_with(&[]);
     assert!(forecast().contains("no worker is connected"));
     let mut worker = serve.worker("a").await;
-    assert!(forecast().contains("no worker has been measured"));
+    assert!(forecast().contains("on the 1 worker connected now no rollout was finished"));
     serve.run(&CREATE, 0, &[]);
     for wall_secs in [50.0, 70.0] {
         let lease = worker.claim_one().await;
@@ -147,26 +146,10 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let _second = serve.worker("b").await;
     // 14 rollouts of a minute each on two workers with two slots each.
     let printed = forecast();
-    assert!(
-        printed.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
-        "{printed}"
-    );
+    assert!(printed.contains("about 3m30s on the 2 workers connected now (4 slots)"), "{printed}");
     assert!(printed.contains("2 recent rollouts of expert"), "{printed}");
-    // Each rollout waits for nearly all of its minute, although every slot has a core.
-    assert_contains(
-        &printed,
-        &["a rollout takes 60.0 s: physics 1 %", "mean of 2 rollouts bottleneck: slots"],
-    );
-    // 30 queries per rollout, at one query per second.
-    let printed = forecast_with(&["--policy-rate", "1"]);
-    assert!(printed.contains("about 7m00s on the 2 workers"), "{printed}");
-    let bottleneck = "bottleneck: the policy's server, which answers no faster. More slots do not \
-                 help; 2 slots would suffice";
-    assert!(printed.contains(bottleneck), "{printed}");
-    let invalid_rate = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
-    assert_eq!(invalid_rate.status.code(), Some(2));
-    let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
-    assert_eq!(no_dry_run.status.code(), Some(2));
+    // Of 1.25 s, a rollout takes 0.75 s of a core and waits 0.5 s for the policy; four cores.
+    assert_contains(&printed, &["more slots on their cores help up to 7"]);
 }
 
 /// The departed workers of a cluster would otherwise fill the list forever.

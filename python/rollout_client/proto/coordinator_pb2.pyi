@@ -590,14 +590,12 @@ class AlterCampaignRequest(_message.Message):
     def __init__(self, campaign: _Optional[str] = ..., priority: _Optional[int] = ..., policy_endpoint: _Optional[str] = ..., policy: _Optional[str] = ..., name: _Optional[str] = ...) -> None: ...
 
 class ForecastRequest(_message.Message):
-    __slots__ = ("policy", "rollouts", "policy_rate")
+    __slots__ = ("policy", "rollouts")
     POLICY_FIELD_NUMBER: _ClassVar[int]
     ROLLOUTS_FIELD_NUMBER: _ClassVar[int]
-    POLICY_RATE_FIELD_NUMBER: _ClassVar[int]
     policy: str
     rollouts: _containers.RepeatedCompositeFieldContainer[SuiteRollouts]
-    policy_rate: float
-    def __init__(self, policy: _Optional[str] = ..., rollouts: _Optional[_Iterable[_Union[SuiteRollouts, _Mapping]]] = ..., policy_rate: _Optional[float] = ...) -> None: ...
+    def __init__(self, policy: _Optional[str] = ..., rollouts: _Optional[_Iterable[_Union[SuiteRollouts, _Mapping]]] = ...) -> None: ...
 
 class SuiteRollouts(_message.Message):
     __slots__ = ("suite", "rollouts")
@@ -608,53 +606,19 @@ class SuiteRollouts(_message.Message):
     def __init__(self, suite: _Optional[str] = ..., rollouts: _Optional[int] = ...) -> None: ...
 
 class ForecastResponse(_message.Message):
-    __slots__ = ("workers", "slots", "secs", "results", "is_of_policy", "unmeasured_suites", "cores", "speed")
+    __slots__ = ("workers", "slots", "secs", "results", "is_of_policy", "unmeasured_suites", "useful_slots")
     WORKERS_FIELD_NUMBER: _ClassVar[int]
     SLOTS_FIELD_NUMBER: _ClassVar[int]
     SECS_FIELD_NUMBER: _ClassVar[int]
     RESULTS_FIELD_NUMBER: _ClassVar[int]
     IS_OF_POLICY_FIELD_NUMBER: _ClassVar[int]
     UNMEASURED_SUITES_FIELD_NUMBER: _ClassVar[int]
-    CORES_FIELD_NUMBER: _ClassVar[int]
-    SPEED_FIELD_NUMBER: _ClassVar[int]
+    USEFUL_SLOTS_FIELD_NUMBER: _ClassVar[int]
     workers: int
     slots: int
     secs: float
     results: int
     is_of_policy: bool
     unmeasured_suites: _containers.RepeatedScalarFieldContainer[str]
-    cores: int
-    speed: Speed
-    def __init__(self, workers: _Optional[int] = ..., slots: _Optional[int] = ..., secs: _Optional[float] = ..., results: _Optional[int] = ..., is_of_policy: bool = ..., unmeasured_suites: _Optional[_Iterable[str]] = ..., cores: _Optional[int] = ..., speed: _Optional[_Union[Speed, _Mapping]] = ...) -> None: ...
-
-class Speed(_message.Message):
-    __slots__ = ("results", "physics_secs", "drawing_secs", "policy_secs", "waiting_secs", "policy_queries", "bottleneck", "enough_slots", "enough_slots_secs")
-    class Bottleneck(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-        __slots__ = ()
-        BOTTLENECK_UNSPECIFIED: _ClassVar[Speed.Bottleneck]
-        BOTTLENECK_SLOTS: _ClassVar[Speed.Bottleneck]
-        BOTTLENECK_CORES: _ClassVar[Speed.Bottleneck]
-        BOTTLENECK_POLICY: _ClassVar[Speed.Bottleneck]
-    BOTTLENECK_UNSPECIFIED: Speed.Bottleneck
-    BOTTLENECK_SLOTS: Speed.Bottleneck
-    BOTTLENECK_CORES: Speed.Bottleneck
-    BOTTLENECK_POLICY: Speed.Bottleneck
-    RESULTS_FIELD_NUMBER: _ClassVar[int]
-    PHYSICS_SECS_FIELD_NUMBER: _ClassVar[int]
-    DRAWING_SECS_FIELD_NUMBER: _ClassVar[int]
-    POLICY_SECS_FIELD_NUMBER: _ClassVar[int]
-    WAITING_SECS_FIELD_NUMBER: _ClassVar[int]
-    POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
-    BOTTLENECK_FIELD_NUMBER: _ClassVar[int]
-    ENOUGH_SLOTS_FIELD_NUMBER: _ClassVar[int]
-    ENOUGH_SLOTS_SECS_FIELD_NUMBER: _ClassVar[int]
-    results: int
-    physics_secs: float
-    drawing_secs: float
-    policy_secs: float
-    waiting_secs: float
-    policy_queries: float
-    bottleneck: Speed.Bottleneck
-    enough_slots: int
-    enough_slots_secs: float
-    def __init__(self, results: _Optional[int] = ..., physics_secs: _Optional[float] = ..., drawing_secs: _Optional[float] = ..., policy_secs: _Optional[float] = ..., waiting_secs: _Optional[float] = ..., policy_queries: _Optional[float] = ..., bottleneck: _Optional[_Union[Speed.Bottleneck, str]] = ..., enough_slots: _Optional[int] = ..., enough_slots_secs: _Optional[float] = ...) -> None: ...
+    useful_slots: int
+    def __init__(self, workers: _Optional[int] = ..., slots: _Optional[int] = ..., secs: _Optional[float] = ..., results: _Optional[int] = ..., is_of_policy: bool = ..., unmeasured_suites: _Optional[_Iterable[str]] = ..., useful_slots: _Optional[int] = ...) -> None: ...

@@ -8,9 +8,7 @@ from datetime import datetime, timezone
 import pandas as pd
 import pytest
 
-from rollout_client import Speed
 from rollout_client.errors import NoSuchCampaignError, RefusedError, SettingsError
-from rollout_client.proto import coordinator_pb2 as wire
 
 from .conftest import in_a_process, specification
 
@@ -86,30 +84,8 @@ def test_a_forecast_counts_rollouts_of_each_suite_and_creates_nothing(client):
     assert forecast.rollouts == {"libero_goal": 48, "libero_object": 24}
     assert forecast.total == 72
     assert (forecast.workers, forecast.secs) == (0, None)
-    assert (forecast.cores, forecast.speed) == (None, None)
+    assert forecast.useful_slots is None
     assert len(client.campaigns()) == 0
-
-
-def test_a_forecast_with_an_invalid_policy_rate_is_refused(client):
-    with pytest.raises(RefusedError, match="policy_rate"):
-        client.forecast(specification("first"), policy_rate=-1.0)
-    assert client.forecast(specification("first"), policy_rate=40.0).total == 8
-
-
-def test_the_bottleneck_of_a_forecast_is_converted():
-    sent = wire.Speed(
-        results=9,
-        physics_secs=3.0,
-        policy_queries=30.0,
-        bottleneck=wire.Speed.BOTTLENECK_CORES,
-        enough_slots=12,
-        enough_slots_secs=600.0,
-    )
-    speed = Speed.of(sent)
-    assert (speed.results, speed.physics_secs, speed.drawing_secs) == (9, 3.0, 0.0)
-    assert (speed.bottleneck, speed.enough_slots, speed.enough_slots_secs) == ("cores", 12, 600.0)
-    unknown = Speed.of(wire.Speed(results=9))
-    assert (unknown.bottleneck, unknown.enough_slots) == (None, None)
 
 
 def test_a_forecast_of_a_manifest_counts_the_created_rollouts(client):

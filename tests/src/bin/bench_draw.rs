@@ -21,7 +21,7 @@ use sim::{
 use tests::fidelity::CLOSE_LEVELS;
 use tests::files::open_pack;
 use tests::measure::{Clock, Spread};
-use worker::measure::open_loop::smooth_action;
+use worker::open_loop::smooth_action;
 
 /// Draw scenes by our renderer and by OpenGL, in turn.
 #[derive(Parser)]

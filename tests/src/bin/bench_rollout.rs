@@ -27,7 +27,7 @@ use tests::fidelity::read_npz;
 use tests::files::open_pack;
 use tests::measure::{Clock, Spread};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
-use worker::measure::open_loop::{assignment, description, smooth_action};
+use worker::open_loop::{assignment, description, smooth_action};
 use worker::message::Assignment;
 use worker::policy::infer_request;
 use worker::rollout::{Step, Watcher};

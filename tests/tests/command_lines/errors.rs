@@ -46,7 +46,6 @@ const CASES: [(&str, &[&str]); 14] = [
             "coordinator campaign create --name c --policy p --endpoint {url} --tasks libero_goal/0 --levels L9",
             "coordinator campaign create --name c --policy p --endpoint {url} --tasks libero_goal/0 --configs 5-1",
             "coordinator campaign create --name c --policy p --endpoint {url} --tasks libero_goal/0 --replicates 0",
-            "coordinator campaign create --name c --policy p --endpoint {url} --tasks libero_goal/0 --policy-rate 0",
             "coordinator campaign create --spec spec.json",
             "coordinator campaign create --spec missing.json",
             "coordinator campaign create --name c --policy p --endpoint {url} --suite-file suite.json",
@@ -93,8 +92,6 @@ const CASES: [(&str, &[&str]); 14] = [
         &[
             "worker --slots 0",
             "worker --connect 127.0.0.1:9 --assets primitives",
-            "worker bench --execute 0",
-            "worker bench --secs x",
             "worker preview --task 10",
             "worker preview --config 10",
             "worker rollout --id nonsense",

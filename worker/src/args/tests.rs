@@ -79,18 +79,6 @@ fn a_users_task_needs_initial_states_and_an_actor() {
     }
 }
 
-#[test]
-fn bench_needs_no_coordinator_and_no_policy() {
-    let arguments = parse("worker bench --assets primitives").expect("a valid command line");
-    let Some(Command::Bench(bench)) = arguments.command else { panic!("{arguments:?}") };
-    assert_eq!((bench.slots.len(), bench.load.execute), (0, 1));
-    assert_eq!(bench.load.policy_secs, 0.0);
-    let line = "worker bench --assets primitives --slots 4,1 --secs 0.5 --renderer gl:0";
-    let arguments = parse(line).expect("a valid command line");
-    let Some(Command::Bench(bench)) = arguments.command else { panic!("{arguments:?}") };
-    assert_eq!((bench.slots.len(), bench.secs), (2, 0.5));
-}
-
 fn fetch(line: &str) -> Result<FetchArguments, clap::Error> {
     match parse(line)?.command {
         Some(Command::Assets(AssetsArguments { command: AssetsCommand::Fetch(fetch), .. })) => {
@@ -119,11 +107,6 @@ fn invalid_command_lines_are_usage_errors() {
     for line in [
         "worker --connect http://h:1 --assets primitives --slots 0",
         "worker --connect http://h:1 --assets primitives --slots many",
-        "worker bench --assets primitives --slots 1,0",
-        "worker bench --assets primitives --secs 0",
-        "worker bench --assets primitives --secs inf",
-        "worker bench --assets primitives --policy-secs -1",
-        "worker bench --assets primitives --task libero_object/10",
         "worker --connect http://h:1 --assets primitives --renderer gl:gpu",
         "worker --connect http://h:1 --assets primitives --renderer vulkan",
         "worker --connect localhost:7411 --assets primitives",

@@ -1,7 +1,7 @@
 //! Starts the real program and observes it.
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read};
+use std::io::Read;
 use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
@@ -59,25 +59,13 @@ impl WorkerProcess {
 
     pub(crate) fn start_with(coordinator: &str, arguments: &[&str]) -> Self {
         let connect = ["--connect", coordinator, "--assets", "primitives"];
-        Self::start_as(&[&connect, arguments].concat())
-    }
-
-    /// Starts the program with any arguments.
-    pub(crate) fn start_as(arguments: &[&str]) -> Self {
-        Self::start_command(program().args(arguments))
+        Self::start_command(program().args(connect).args(arguments))
     }
 
     /// Starts the program from a prepared command.
     pub(crate) fn start_command(program: &mut Command) -> Self {
         let child = program.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("starts");
         Self { child }
-    }
-
-    /// Waits until the process prints a line that begins with `start`, then closes the pipe.
-    pub(crate) fn wait_for_line(&mut self, start: &str) {
-        let out = self.child.stdout.take().expect("piped");
-        let mut lines = BufReader::new(out).lines().map_while(Result::ok);
-        assert!(lines.any(|line| line.starts_with(start)), "no {start}");
     }
 
     /// Returns the process ids of the slots.

@@ -63,7 +63,7 @@ fn main() {
     for strategy in Strategy::ALL {
         println!(
             "\n{:<22}{:>8}{:>9}{:>10}{:>9}{:>11}{:>9}",
-            strategy.name(),
+            format!("{strategy:?}"),
             "subsets",
             "of 56",
             "rollouts",

@@ -8,9 +8,7 @@ use serde::{Deserialize, Serialize};
 /// Rollouts at one point of a search, which are replicates of one another, counted by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Tally {
-    /// Rollouts that succeeded.
     pub successes: u32,
-    /// Rollouts that failed.
     pub failures: u32,
     /// Rollouts without a result so far.
     pub pending: u32,

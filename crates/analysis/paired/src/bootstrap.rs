@@ -20,7 +20,6 @@ const MAX_THREADS: usize = 8;
 /// and a fixed seed, so that a report depends on its records alone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bootstrap {
-    /// Number of resamplings.
     pub replicates: u32,
     /// Seed of the ChaCha streams, one stream per resampling.
     pub seed: u64,

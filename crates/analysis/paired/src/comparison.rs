@@ -64,9 +64,7 @@ pub struct Comparison {
     /// Assignment of directions that the intervals assume: `Own` if both campaigns have it,
     /// otherwise `Shared`, which makes no interval narrower.
     pub directions: Directions,
-    /// Rollouts that only A has.
     pub only_in_a: u64,
-    /// Rollouts that only B has.
     pub only_in_b: u64,
     /// Rollouts that both policies have but that cannot be paired, by reason.
     pub unpaired: BTreeMap<Obstacle, Vec<RolloutId>>,
@@ -77,7 +75,6 @@ pub struct Comparison {
 pub struct ComparedCell {
     /// The level; L0 for nominal rollouts.
     pub level: Level,
-    /// The condition.
     pub condition: Condition,
     /// Rollouts that can be paired.
     pub shared: u64,

@@ -18,7 +18,6 @@ const BISECTIONS: u32 = 60;
 /// Parameters that the smallest detectable effect depends on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct PairedDesign {
-    /// Tasks.
     pub(crate) tasks: u32,
     /// Configurations of each task, on average.
     pub(crate) configs_per_task: f64,

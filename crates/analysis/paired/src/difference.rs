@@ -19,9 +19,7 @@ pub struct Pair {
     pub task: TaskRef,
     /// Configuration, or initial state of a nominal rollout.
     pub number: u16,
-    /// Outcome for A.
     pub a: Outcome,
-    /// Outcome for B.
     pub b: Outcome,
 }
 
@@ -31,7 +29,6 @@ pub struct Pair {
 pub struct Difference {
     /// Rollouts with an outcome for both policies.
     pub n: u64,
-    /// Tasks of these rollouts.
     pub tasks: u64,
     /// Success rate of A over these rollouts.
     pub s_a: f64,
@@ -42,7 +39,6 @@ pub struct Difference {
     /// 95 % interval of `difference`, by the same cluster bootstrap over tasks as
     /// [`Measures`](crate::Measures).
     pub difference_ci95: Option<Interval>,
-    /// Reason why `difference_ci95` is absent.
     pub no_interval: Option<NoInterval>,
     /// Rollouts that both policies solve.
     pub both: u64,
@@ -73,11 +69,8 @@ pub struct Difference {
 /// Comparison of two policies by task.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Profile {
-    /// A − B in each task.
     pub tasks: BTreeMap<TaskRef, f64>,
-    /// Tasks in which A succeeds more often.
     pub a_better: u64,
-    /// Tasks in which B succeeds more often.
     pub b_better: u64,
     /// Probability of improvement with intervals: the probability that A does better than B
     /// in a task drawn at random, where ties count half. The estimate has no interval for the
@@ -96,7 +89,6 @@ pub struct DifferenceBounds {
     pub n: u64,
     /// Rollouts counted in `n` that are quarantined for A or for B.
     pub affected: u64,
-    /// Range of `difference`.
     pub difference: [f64; 2],
 }
 

@@ -21,9 +21,6 @@ use crate::report::{
 
 /// Reports on one policy's records. `records` should hold every planned rollout, including
 /// those without a result, because the expected conditions are derived from them.
-///
-/// # Errors
-/// If a rollout is recorded twice in the same replicate.
 pub fn report(records: &[Record], options: &Options) -> Result<Report, DuplicateRecord> {
     Ok(report_of(&Records::new(records)?, options))
 }

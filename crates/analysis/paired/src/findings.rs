@@ -366,7 +366,6 @@ pub enum FindingKind {
 /// A generated sentence of a report.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
-    /// Subject of the sentence.
     pub kind: FindingKind,
     /// Level of the finding; absent for [`FindingKind::Success`], which covers all levels.
     pub level: Option<Level>,
@@ -375,6 +374,5 @@ pub struct Finding {
     /// The corrected p-value behind the sentence, or the smallest of several; absent if no test is
     /// behind it.
     pub holm_p: Option<f64>,
-    /// The sentence.
     pub sentence: String,
 }

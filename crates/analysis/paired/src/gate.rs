@@ -22,11 +22,9 @@ pub const GATE_ROLLOUTS_OF_A_SUITE: u64 = 500;
 pub struct Gate {
     /// The published success rate, a fraction.
     pub published: f64,
-    /// Nominal rollouts and their successes.
     pub nominal: Count,
     /// The measured rate − `published`; absent without a counted rollout.
     pub difference: Option<f64>,
-    /// Verdict on the difference.
     pub verdict: GateVerdict,
     /// Equivalence p-value: tests the hypothesis that the policy's rate on these tasks differs
     /// from `published`, taken as exact, by more than [`GATE_TOLERANCE`]. A small value
@@ -35,7 +33,6 @@ pub struct Gate {
     pub equivalence_p: Option<f64>,
 }
 
-/// Verdict of the gate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {
@@ -50,7 +47,6 @@ pub enum GateVerdict {
 /// The gate of one suite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuiteGate {
-    /// The suite.
     pub suite: Suite,
     /// Nominal success of the suite against its published figure.
     #[serde(flatten)]

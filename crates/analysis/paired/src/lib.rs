@@ -59,4 +59,3 @@ pub use sequential::{
     CampaignLook, Drawn, Look, Order, RateInterval, SEQUENTIAL_ALPHA, SequentialMeasures, Unit,
     drawn_order,
 };
-pub use text::push_wrapped;

@@ -34,9 +34,7 @@ impl Configuration {
 /// `no_interval` gives the reason.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Measures {
-    /// Number of configurations.
     pub n: u64,
-    /// Number of tasks of these configurations.
     pub tasks: u64,
     /// Success rate under each axis alone.
     pub s_axis: BTreeMap<Axis, f64>,

@@ -56,14 +56,12 @@ impl From<bool> for Outcome {
 /// A rollout of one replicate, with its outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
-    /// Identity of the rollout.
     pub id: RolloutId,
     /// Initial state at the start of the rollout; pairs a configuration with its nominal
     /// rollout.
     pub init_id: u16,
     /// Number of the replicate, from 0.
     pub replicate: u32,
-    /// Outcome of the rollout.
     pub outcome: Outcome,
 }
 
@@ -71,22 +69,16 @@ pub struct Record {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("report on {id}: replicate {replicate} is recorded twice; keep one record")]
 pub struct DuplicateRecord {
-    /// The rollout.
     pub id: RolloutId,
-    /// The replicate.
     pub replicate: u32,
 }
 
 /// One configuration at one level in one replicate, with the outcomes of its rollouts.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Matched {
-    /// The replicate.
     pub replicate: u32,
-    /// The level.
     pub level: Level,
-    /// The task.
     pub task: TaskRef,
-    /// The configuration's number.
     pub config: u16,
     /// The initial state of all its rollouts.
     pub init_id: u16,
@@ -122,7 +114,6 @@ pub enum Transition {
 }
 
 impl Transition {
-    /// All transitions.
     pub const ALL: [Self; 4] =
         [Self::StillSucceeds, Self::StillFails, Self::Emergent, Self::Compensated];
 
@@ -215,9 +206,6 @@ pub struct Records {
 
 impl Records {
     /// Matches the records of each configuration.
-    ///
-    /// # Errors
-    /// If a rollout is recorded twice in the same replicate.
     pub fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
         let mut matching = Self::default();
         for record in records {
@@ -310,9 +298,7 @@ impl Records {
 /// Number of successes among the rollouts with a result.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
-    /// Successes.
     pub successes: u64,
-    /// Rollouts with a result.
     pub n: u64,
 }
 

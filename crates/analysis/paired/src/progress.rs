@@ -14,7 +14,6 @@ use crate::inference::sample::{Row, Sample};
 /// Progress of one rollout that has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Progress {
-    /// Identity of the rollout.
     pub id: RolloutId,
     /// Number of the replicate, from 0.
     pub replicate: u32,
@@ -58,11 +57,8 @@ pub struct ProgressDifference {
 pub struct MeanDifference {
     /// Rollouts whose value is known for both policies.
     pub n: u64,
-    /// Tasks of these rollouts.
     pub tasks: u64,
-    /// Mean of A.
     pub mean_a: f64,
-    /// Mean of B.
     pub mean_b: f64,
     /// `mean_a` − `mean_b` with an interval for each target of inference.
     pub difference: Estimate,

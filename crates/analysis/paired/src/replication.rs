@@ -44,7 +44,6 @@ pub(crate) fn flips(records: &Records) -> BTreeMap<Condition, Flips> {
 /// tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Components {
-    /// The level.
     pub level: Level,
     /// Number of replicates; every counted configuration has an outcome in each.
     pub replicates: u64,
@@ -59,12 +58,7 @@ pub struct Components {
     /// Design effect: variance of the rate, relative to the variance of as many independent
     /// outcomes; absent if all outcomes are equal.
     pub design_effect: Option<f64>,
-    /// Standard error of the design as run.
     pub standard_error: f64,
-    /// Standard error with one more replicate of every configuration.
-    pub one_more_replicate: f64,
-    /// Standard error with ten more configurations of every task.
-    pub ten_more_configurations: f64,
 }
 
 impl Components {
@@ -132,7 +126,7 @@ impl Components {
         let ms_tasks = k * between_tasks / (t - 1.0);
         let configurations = ((ms_configurations - chance) / k).max(0.0);
         let tasks = ((ms_tasks - ms_configurations) / (k * m)).max(0.0);
-        let variance = |m: f64, k: f64| (tasks + (configurations + chance / k) / m) / t;
+        let variance = (tasks + (configurations + chance / k) / m) / t;
         let independent = mean * (1.0 - mean) / (n * k);
         Some(Self {
             level,
@@ -141,10 +135,8 @@ impl Components {
             tasks,
             configurations,
             replicate: chance,
-            design_effect: (independent > 0.0).then(|| variance(m, k) / independent),
-            standard_error: variance(m, k).sqrt(),
-            one_more_replicate: variance(m, k + 1.0).sqrt(),
-            ten_more_configurations: variance(m + 10.0, k).sqrt(),
+            design_effect: (independent > 0.0).then(|| variance / independent),
+            standard_error: variance.sqrt(),
         })
     }
 }
@@ -162,11 +154,9 @@ mod tests {
         };
         let chance = components([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]);
         assert_eq!((chance.tasks, chance.configurations, chance.replicate), (0.0, 0.0, 0.5));
-        // A variance of 0.5 over eight outcomes, or over twelve with a third replicate.
+        // A variance of 0.5 over eight outcomes.
         assert!((chance.standard_error.powi(2) - 0.5 / 8.0).abs() < 1e-12);
-        assert!((chance.one_more_replicate.powi(2) - 0.5 / 12.0).abs() < 1e-12);
         let tasks = components([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]);
         assert_eq!((tasks.tasks, tasks.configurations, tasks.replicate), (0.5, 0.0, 0.0));
-        assert_eq!(tasks.one_more_replicate, tasks.standard_error);
     }
 }

@@ -40,7 +40,6 @@ pub struct Options {
 pub struct Report {
     /// The caller's notes.
     pub notes: Vec<String>,
-    /// Axes that were perturbed alone, in the protocol's order.
     pub axes: Vec<Axis>,
     /// Nominal success; absent if the campaign runs no nominal rollouts.
     pub nominal: Option<Nominal>,
@@ -56,9 +55,7 @@ pub struct Report {
     /// Assignment of directions to configurations.
     #[serde(default, skip_serializing_if = "Directions::is_shared")]
     pub directions: Directions,
-    /// Cells, by level.
     pub cells: Vec<Cell>,
-    /// Success of every task, by level (nominal first) and condition.
     pub by_task: Vec<TaskSuccess>,
     /// Rollouts whose outcome differs between replicates, by condition; empty without replicates.
     pub flips: BTreeMap<Condition, Flips>,
@@ -89,12 +86,10 @@ impl Report {
 pub struct Nominal {
     /// Source of the count.
     pub source: NominalSource,
-    /// Rollouts and their successes.
     pub count: Count,
     /// `count` of each replicate; empty if there is only one.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub by_replicate: BTreeMap<u32, Count>,
-    /// Rollouts without an outcome.
     pub gap: Gap,
 }
 
@@ -111,7 +106,6 @@ pub enum NominalSource {
 /// One level, with the configurations of all replicates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Cell {
-    /// The level.
     pub level: Level,
     /// Success under each single axis over all results, including those of incomplete
     /// configurations.
@@ -153,7 +147,6 @@ pub struct Cell {
 /// One axis alone at one level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SingleAxis {
-    /// Rollouts and their successes.
     pub count: Count,
     /// 1 − success / nominal success; absent if either is unknown or nominal success is 0.
     pub clean_relative_loss: Option<f64>,
@@ -170,7 +163,6 @@ pub struct Completeness {
     pub gaps: BTreeMap<Condition, Gap>,
 }
 
-/// Rollouts without an outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Gap {
     /// Rollouts without a result yet.
@@ -184,11 +176,8 @@ pub struct Gap {
 pub struct TaskSuccess {
     /// The level; L0 for nominal rollouts.
     pub level: Level,
-    /// The condition.
     pub condition: Condition,
-    /// The task.
     pub task: TaskRef,
-    /// Rollouts and their successes.
     #[serde(flatten)]
     pub count: Count,
 }
@@ -200,7 +189,6 @@ pub struct SuiteRow {
     pub name: String,
     /// The level; L0 for nominal rollouts.
     pub level: Level,
-    /// The condition.
     pub condition: Condition,
     /// Success rate of each suite, in the order of [`Report::suites`].
     pub suites: Vec<Option<f64>>,

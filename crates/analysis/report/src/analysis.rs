@@ -7,7 +7,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::{Condition, Level, RolloutId};
 use paired::{Cell, DuplicateRecord, Matched, Options, Progress, Record, Records, Report};
 
+use crate::block::Section;
 use crate::explanation::Findings;
+use crate::figures::Link;
 use crate::interactions::AxisInteractions;
 use crate::sequential::Sequential;
 use crate::subject::Subject;
@@ -111,12 +113,11 @@ impl Analysis {
         self.subject.derived.is_none()
     }
 
-    /// Writes the findings of a derived campaign for a terminal; `None` for any other campaign.
-    pub(crate) fn derived_text(&self) -> Option<String> {
-        let findings = self.findings.as_ref().map(Findings::text);
-        let thresholds = self.thresholds.as_ref().map(ThresholdReport::text);
-        let text = [findings, thresholds].into_iter().flatten().collect();
-        (!self.is_paired()).then_some(text)
+    /// Returns the sections on what a derived campaign found; none for any other campaign.
+    pub(crate) fn derived<'a>(&'a self, link: Option<Link<'a>>) -> Vec<Section<'a>> {
+        let findings = self.findings.iter().flat_map(|findings| findings.sections(link));
+        let thresholds = self.thresholds.iter().map(ThresholdReport::section);
+        findings.chain(thresholds).collect()
     }
 
     /// Returns the records from which the figures are computed.

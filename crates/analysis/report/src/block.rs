@@ -4,13 +4,17 @@
 use std::fmt::{Display, Write};
 
 use maud::{Markup, html};
-use paired::push_wrapped;
 
-use crate::page::markup::table;
 use crate::words::minus_signs;
 
 /// Columns of a terminal.
 pub(crate) const WIDTH: usize = 80;
+
+/// Appends a paragraph whose first line follows `prefix`, and whose further lines align with it.
+pub(crate) fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
+    text.push_str(&terminal::wrapped(prefix, prefix.chars().count(), words));
+    text.push('\n');
+}
 
 /// A section of a report; without blocks, it is not rendered.
 pub(crate) struct Section<'a> {
@@ -30,8 +34,12 @@ pub(crate) enum Block<'a> {
     Folded(Table),
     /// A part of the page alone, such as a figure.
     Html(Box<dyn Fn() -> Markup + 'a>),
-    /// A part of the text alone.
-    Text(String),
+}
+
+impl Block<'_> {
+    fn is_some(&self) -> bool {
+        !matches!(self, Self::Table(table) | Self::Folded(table) if table.rows.is_empty())
+    }
 }
 
 /// A table: its rows are records, and each has a cell in every column.
@@ -66,10 +74,12 @@ enum Kind {
 pub(crate) struct Cell {
     text: String,
     below: Vec<String>,
+    /// URL of the value on the page.
+    link: Option<String>,
 }
 
 pub(crate) fn cell(text: impl Display) -> Cell {
-    Cell { text: text.to_string(), below: Vec::new() }
+    Cell { text: text.to_string(), ..Cell::default() }
 }
 
 /// Returns a cell with the value, or a dash for `None`.
@@ -85,6 +95,11 @@ impl Cell {
         self
     }
 
+    /// Links the value on the page.
+    pub(crate) fn link(self, link: Option<String>) -> Self {
+        Self { link, ..self }
+    }
+
     /// Marks the value.
     pub(crate) fn star(&mut self) {
         self.text.push('*');
@@ -97,7 +112,13 @@ impl Cell {
     }
 
     fn html(&self) -> Markup {
-        html! { (self.text) @for line in &self.below { small { (line) } } }
+        html! {
+            @match &self.link {
+                Some(link) => a href=(link) { code { (self.text) } },
+                None => (self.text),
+            }
+            @for line in &self.below { small { (line) } }
+        }
     }
 }
 
@@ -182,15 +203,35 @@ impl Table {
         }
     }
 
+    /// Renders the table in a box that scrolls if it is wider than the page, and that the keyboard
+    /// reaches.
     fn box_html(&self) -> Markup {
-        let heads = self.columns.iter().map(|column| match column.kind {
-            Kind::Number => column.head(),
-            Kind::Key | Kind::Words => format!("{}.", column.head()),
-        });
-        let heads: Vec<String> = heads.collect();
-        let heads: Vec<&str> = heads.iter().map(String::as_str).collect();
-        let rows = self.rows.iter().map(|row| row.iter().map(Cell::html).collect());
-        table(&self.name, &heads, rows.collect())
+        let class = |column: &Column| (column.kind != Kind::Number).then_some("words");
+        html! {
+            @if !self.rows.is_empty() {
+                div.scroll tabindex="0" role="region" aria-label=(self.name) {
+                    table {
+                        thead {
+                            tr {
+                                @for column in &self.columns {
+                                    th scope="col" class=[class(column)] { (column.head()) }
+                                }
+                            }
+                        }
+                        tbody {
+                            @for row in &self.rows {
+                                tr {
+                                    th scope="row" { (row[0].html()) }
+                                    @for (value, column) in row.iter().zip(&self.columns).skip(1) {
+                                        td class=[class(column)] { (value.html()) }
+                                    }
+                                }
+                            }
+                        }
+                    }
+                }
+            }
+        }
     }
 
     /// Renders the table folded.
@@ -201,7 +242,7 @@ impl Table {
     }
 
     /// Writes the table for a terminal: a line per record, below headings if the lines are too
-    /// wide otherwise, or else a column per record.
+    /// wide otherwise, or else a column per record, or a paragraph per cell.
     pub(crate) fn text(&self) -> String {
         let mut text = String::new();
         if self.rows.is_empty() {
@@ -241,7 +282,11 @@ impl Table {
         let mut rest = records.as_slice();
         while !rest.is_empty() {
             let fits = |count: &usize| total_width(&self.turned(&rest[..*count])) <= WIDTH;
-            let count = (1..=rest.len()).rev().find(fits).unwrap_or(1);
+            let Some(count) = (1..=rest.len()).rev().find(fits) else {
+                self.push_listed(&mut text, &rest[0]);
+                rest = &rest[1..];
+                continue;
+            };
             let turned = self.turned(&rest[..count]);
             let is_left: Vec<bool> = (0..=count).map(|index| index == 0).collect();
             push_grid(&mut text, &is_left, &turned, &widths(&turned));
@@ -251,6 +296,20 @@ impl Table {
             }
         }
         text
+    }
+
+    /// Appends a record with a paragraph per column.
+    fn push_listed(&self, text: &mut String, record: &[Vec<String>]) {
+        let cells = || self.columns.iter().zip(record);
+        let keys = cells().filter(|(column, _)| column.kind == Kind::Key);
+        let keys: Vec<String> = keys.map(|(_, lines)| lines.join(" ")).collect();
+        push_wrapped(text, "", &keys.join(" "));
+        for (column, lines) in cells().filter(|(column, _)| column.kind != Kind::Key) {
+            let words = lines.join(" ");
+            if !words.is_empty() {
+                push_wrapped(text, &format!("  {}: ", column.head()), &words);
+            }
+        }
     }
 
     /// Returns the rows of a table with a column per record.
@@ -336,25 +395,16 @@ fn push_grid(text: &mut String, is_left: &[bool], rows: &[Vec<Vec<String>>], wid
 /// Writes blocks for a terminal, with the legend of their tables below them.
 pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) -> String {
     let mut text = String::new();
-    let mut legend: Vec<(&str, &str)> = Vec::new();
+    let blocks: Vec<&Block<'_>> = blocks.into_iter().collect();
     let mut follows_prose = false;
-    for block in blocks {
+    for block in &blocks {
         let part = match block {
             Block::Heading(words) | Block::Paragraph(words) | Block::Claim(words) => {
                 let mut part = String::new();
                 push_wrapped(&mut part, "", words);
                 part
             }
-            Block::Table(table) | Block::Folded(table) => {
-                let printed = table.meanings().filter(|_| !table.rows.is_empty());
-                for meaning in printed {
-                    if !legend.contains(&meaning) {
-                        legend.push(meaning);
-                    }
-                }
-                table.text()
-            }
-            Block::Text(part) => part.clone(),
+            Block::Table(table) | Block::Folded(table) => table.text(),
             Block::Html(_) => continue,
         };
         let is_prose = matches!(block, Block::Paragraph(_) | Block::Claim(_));
@@ -364,6 +414,7 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
         follows_prose = is_prose;
         text.push_str(&part);
     }
+    let legend = legend(blocks);
     let width = legend.iter().map(|(symbol, _)| symbol.chars().count()).max();
     if let Some(width) = width {
         text.push('\n');
@@ -375,13 +426,32 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
     text.replace('−', "-")
 }
 
+/// Returns the meanings in all tables, each once.
+pub(crate) fn legend<'a, 'b: 'a>(
+    blocks: impl IntoIterator<Item = &'a Block<'b>>,
+) -> Vec<(&'a str, &'a str)> {
+    let mut legend = Vec::new();
+    for block in blocks {
+        if let Block::Table(table) | Block::Folded(table) = block
+            && !table.rows.is_empty()
+        {
+            for meaning in table.meanings() {
+                if !legend.contains(&meaning) {
+                    legend.push(meaning);
+                }
+            }
+        }
+    }
+    legend
+}
+
 /// Renders sections for the page.
 pub(crate) fn html(sections: &[Section<'_>]) -> Markup {
     html! {
         @for section in sections {
             @if section.title.is_empty() {
                 (blocks_html(&section.blocks))
-            } @else if !section.blocks.is_empty() {
+            } @else if section.blocks.iter().any(Block::is_some) {
                 section { h2 { (section.title) } (blocks_html(&section.blocks)) }
             }
         }
@@ -398,7 +468,6 @@ pub(crate) fn blocks_html(blocks: &[Block<'_>]) -> Markup {
                 Block::Table(table) => (table.html()),
                 Block::Folded(table) => (table.folded()),
                 Block::Html(part) => (part()),
-                Block::Text(_) => {}
             }
         }
     }

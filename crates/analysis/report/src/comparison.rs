@@ -4,11 +4,11 @@
 use std::collections::BTreeSet;
 
 use libero_ctrl::{Directions, RolloutId};
-use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record, push_wrapped};
+use paired::{Bootstrap, Compared, MIN_TASKS, Obstacle, Record};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
-use crate::block;
+use crate::block::{self, push_wrapped};
 use crate::subject::{Origin, Setups, Subject};
 use crate::warnings::{Property, look, mujoco, pack, renderer};
 
@@ -23,7 +23,6 @@ pub struct Comparison {
     pub notes: Vec<String>,
     #[serde(flatten)]
     pub statistics: paired::Comparison,
-    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Smallest number of tasks that gives a bootstrap interval.
     pub min_tasks: usize,
@@ -35,7 +34,6 @@ pub struct Side {
     /// Name of the policy, unique in this comparison.
     pub label: String,
     pub policy: String,
-    /// Source of the outcomes.
     pub origin: Origin,
 }
 
@@ -43,9 +41,7 @@ pub struct Side {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("compare {a} with {b}: {}", .reasons.join("; "))]
 pub struct Unpairable {
-    /// Label of policy A.
     pub a: String,
-    /// Label of policy B.
     pub b: String,
     /// Reasons, each with a remedy.
     pub reasons: Vec<String>,
@@ -57,11 +53,6 @@ pub(crate) const SHARED: [(&str, Property); 4] =
 
 impl Comparison {
     /// Compares two policies, A − B. `setups` are the known digests of their rollouts.
-    ///
-    /// # Errors
-    /// If no rollouts can be paired: a campaign is of LIBERO's family or of a suite file, the
-    /// policies were measured with different asset packs, MuJoCo versions, renderers, looks or
-    /// realisation modes, or they have no rollout in common.
     pub fn of(analyses: [&Analysis; 2], setups: [&Setups; 2]) -> Result<Self, Unpairable> {
         let [a, b] = analyses;
         let sides = sides(a, b);
@@ -126,6 +117,14 @@ impl Comparison {
         format!("{} − {}", self.a.label, self.b.label)
     }
 
+    /// Returns the meanings of the tables' columns as a Markdown table, for docs/REPORT.md.
+    pub fn columns(&self) -> String {
+        let blocks = self.blocks();
+        let rows = block::legend(&blocks).into_iter();
+        let rows = rows.map(|(column, meaning)| format!("| `{column}` | {meaning} |\n"));
+        format!("| column | meaning |\n| --- | --- |\n{}", rows.collect::<String>())
+    }
+
     /// Writes the comparison for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let mut text = String::new();
@@ -141,14 +140,6 @@ impl Comparison {
         }
         text.push_str(&block::text(&self.blocks()));
         text
-    }
-
-    /// Writes the comparison as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
-        serde_json::to_string_pretty(self)
     }
 }
 

@@ -5,15 +5,15 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
 use libero_ctrl::{Condition, Execution, JsonError, Level, Look};
-use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report, push_wrapped};
+use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
-use crate::block::{self, Block, WIDTH};
+use crate::block::{self, Block, push_wrapped};
 use crate::comparison::{Comparison, Unpairable};
 use crate::explanation::Findings;
 use crate::family::{Family, FamilyError};
-use crate::interactions;
+use crate::interactions::AxisInteractions;
 use crate::page;
 use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject, agree, pluralise};
@@ -55,10 +55,7 @@ pub enum DocumentError {
          such rollouts are never pooled with others; report on one campaign alone, or on one file \
          of its exported rows with their `protocol`"
     )]
-    Pooled {
-        /// Name of the policy.
-        policy: String,
-    },
+    Pooled { policy: String },
     #[error("write the report as JSON")]
     Json(#[from] JsonError),
 }
@@ -90,7 +87,7 @@ struct JsonReport<'a> {
     /// In the form of `thresholds --json`.
     thresholds: Option<&'a ThresholdReport>,
     /// In the form of `interactions --json`.
-    interactions: Option<interactions::JsonForm<'a>>,
+    interactions: Option<&'a AxisInteractions>,
 }
 
 /// The JSON form of a campaign of LIBERO's family or of a suite file.
@@ -104,11 +101,6 @@ struct FamilyForm<'a> {
 
 impl Document {
     /// Analyses the subjects.
-    ///
-    /// # Errors
-    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family or
-    /// of a suite file have an unknown variant or protocol, lack their protocol, or are given
-    /// together with another subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
         let is_pooled = |subject: &&Subject| {
             let mut records = subject.records.iter();
@@ -156,9 +148,6 @@ impl Document {
     }
 
     /// Writes the report as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
     pub fn json(&self) -> Result<String, DocumentError> {
         if let (Some(family), [analysis]) = (&self.family, self.analyses.as_slice()) {
             let text = serde_json::to_string_pretty(&FamilyForm {
@@ -186,7 +175,7 @@ impl Document {
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.thresholds.as_ref(),
-            interactions: analysis.interactions.as_ref().map(|interactions| interactions.form()),
+            interactions: analysis.interactions.as_ref(),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
@@ -221,7 +210,7 @@ impl Document {
         let mut text = String::new();
         if let Some(family) = &self.family {
             push_warnings(&mut text, &self.all_warnings());
-            text.push_str(&family.text(false));
+            text.push_str(&family.brief());
             return text;
         }
         push_warnings(&mut text, &self.warnings);
@@ -232,9 +221,9 @@ impl Document {
             text.push_str(&title(&analysis.subject));
             push_warnings(&mut text, &analysis.report.notes);
             text.push('\n');
-            text.push_str(&match analysis.derived_text() {
-                Some(derived) => derived,
-                None => block::text(&brief(analysis)),
+            text.push_str(&match analysis.derived(None) {
+                derived if derived.is_empty() => block::text(&brief(analysis)),
+                derived => block::text(derived.iter().flat_map(|section| &section.blocks)),
             });
         }
         if self.analyses.iter().any(Analysis::is_paired) {
@@ -264,17 +253,10 @@ impl Document {
         if !text.ends_with("\n\n") {
             text.push('\n');
         }
-        match &self.family {
-            Some(family) => text.push_str(&family.text(true)),
-            None => {
-                let sections = page::of_document(self, None);
-                text.push_str(&block::text(sections.iter().flat_map(|section| &section.blocks)));
-            }
-        }
-        for analysis in &self.analyses {
-            text.push_str(&quarantine_list(&analysis.subject));
-        }
-        text
+        let title = self.family.as_ref().map(|family| Block::Heading(family.heading()));
+        let sections = page::of_document(self, None);
+        let blocks = sections.iter().flat_map(|section| &section.blocks);
+        text + &block::text(title.iter().chain(blocks))
     }
 }
 
@@ -412,18 +394,4 @@ fn head(subject: &Subject) -> String {
             head
         }
     }
-}
-
-/// Lists the last error of each quarantined rollout, one per line.
-fn quarantine_list(subject: &Subject) -> String {
-    let mut text = String::new();
-    if !subject.errors.is_empty() {
-        text.push_str("\nin quarantine, with the last error:\n");
-    }
-    for Quarantined { rollout, last_error } in &subject.errors {
-        let error = last_error.lines().next().unwrap_or_default();
-        text.extend(format!("  {rollout}: {error}").chars().take(WIDTH));
-        text.push('\n');
-    }
-    text
 }

@@ -1,4 +1,4 @@
-//! Findings of a campaign that explains another, as text for a terminal and as JSON.
+//! Findings of a campaign that explains another, as blocks of a report and as JSON.
 //! `adaptive::subsets` defines minimal subsets and chooses the subsets to run.
 
 use std::collections::BTreeMap;
@@ -9,15 +9,20 @@ use adaptive::subsets::{
     Answer, Explained, LatticeError, Occurrence, Repeats, Sample, Unexplained, Verdict,
     configurations, next, occurrences, plan, selected,
 };
-use libero_ctrl::{AxisSet, Explanation, JsonError};
-use paired::{Outcome, Record, Transition, push_wrapped};
+use libero_ctrl::{AxisSet, Explanation};
+use paired::{Outcome, Record, Transition};
 use serde::Serialize;
 
+use crate::block::{self, Block, Rows, Section, Table, cell};
+use crate::figures::{self, Link};
+use crate::page::figure;
 use crate::subject::{Prospect, Subject, agree, pluralise};
-use crate::words::push_name;
 
-/// Width of the column of axis names, in characters.
-const NAMES: usize = 52;
+const FIGURE: &str = "The smallest sets of axes that change the outcome. Each column of dots is one set: a filled \
+     dot is an axis that is perturbed. The bar above a column counts the configurations in which \
+     the set changes the outcome and no smaller set that was run does; a configuration can have \
+     several such sets. Left, sets that make a rollout fail although it succeeds under every axis \
+     alone; right, sets that make a rollout succeed although it fails under one axis alone.";
 
 /// Findings about a campaign's transitions.
 #[derive(Clone, Debug, Serialize)]
@@ -50,10 +55,6 @@ pub struct Findings {
 impl Findings {
     /// Returns the number of transitions to explain and the upper bound of the rollouts that their
     /// explanation takes.
-    ///
-    /// # Errors
-    /// If the campaign perturbs fewer than two axes, has a rollout and replicate twice, or allows
-    /// too few repeats to decide an outcome.
     pub fn prospect(
         campaign: &Subject,
         explanation: &Explanation,
@@ -83,10 +84,6 @@ impl Findings {
 
     /// Combines the outcomes of the campaign `explaining` with those of the campaign that it
     /// explains; `None` if `explaining` explains no campaign.
-    ///
-    /// # Errors
-    /// If the explained campaign perturbs fewer than two axes or has a rollout and replicate twice,
-    /// or `explaining` perturbs an axis that the explained campaign lacks.
     pub fn of(explaining: &Subject) -> Result<Option<Self>, LatticeError> {
         let Some((explanation, records)) = explaining.explains() else {
             return Ok(None);
@@ -136,34 +133,84 @@ impl Findings {
         Ok(Some(findings))
     }
 
-    /// Writes the findings as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, JsonError> {
-        Ok(serde_json::to_string_pretty(self)?)
-    }
-
     /// Writes the findings as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
-        let mut text = String::new();
-        push_wrapped(&mut text, "", &format!("{} {}", self.explained_by, self.describe_progress()));
-        let is_emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
-        let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
-            self.subsets.iter().partition(is_emergent);
-        push_subsets(&mut text, "emergent failures: the fewest axes that fail together", &emergent);
-        push_subsets(
-            &mut text,
-            "compensated successes: the fewest axes with which a failing axis succeeds",
-            &compensated,
-        );
-        if !self.configurations.is_empty() {
-            text.push_str("\neach configuration\n");
-        }
-        for explained in &self.configurations {
-            push_configuration(&mut text, explained);
-        }
-        text
+        block::text(self.sections(None).iter().flat_map(|section| &section.blocks))
+    }
+
+    /// Returns the sections of a report. Configurations are linked to the URLs that `link` returns.
+    pub(crate) fn sections<'a>(&'a self, link: Option<Link<'a>>) -> Vec<Section<'a>> {
+        let transitions = [Transition::Emergent, Transition::Compensated];
+        let subsets = transitions.map(|transition| {
+            let title = match transition {
+                Transition::Compensated => {
+                    "Compensated successes: the fewest axes with which a failing axis succeeds"
+                }
+                _ => "Emergent failures: the fewest axes that fail together",
+            };
+            let subsets = self.subsets.iter().filter(|subset| subset.transition == transition);
+            let table = Rows::new(title, subsets)
+                .key("axes", |of| cell(subset(of.start, of.set)))
+                .column("configurations", "", "", |of| cell(of.configurations))
+                .column("established", "", "every smaller subset was run", |of| {
+                    cell(of.established)
+                });
+            Block::Table(table.table())
+        });
+        let figure = move || {
+            let panels = transitions.into_iter();
+            figure(FIGURE, panels.filter_map(|of| figures::upset(self, of)).collect())
+        };
+        let summary = format!("{} {}.", self.explained_by, self.describe_progress());
+        let blocks = [Block::Paragraph(summary), Block::Html(Box::new(figure))];
+        vec![
+            Section {
+                title: "Minimal subsets of the axes".to_owned(),
+                blocks: blocks.into_iter().chain(subsets).collect(),
+            },
+            Section { title: String::new(), blocks: vec![Block::Table(self.each(link))] },
+        ]
+    }
+
+    fn each(&self, link: Option<Link<'_>>) -> Table {
+        let list = |of: &Explained, words: fn(&Answer) -> String| {
+            let words = of.explanation.answers.iter().map(words);
+            let words: Vec<String> = words.filter(|words| !words.is_empty()).collect();
+            cell(words.join("; "))
+        };
+        let undone = |answer: &Answer| {
+            let pairs = answer.non_monotone.iter();
+            let pairs = pairs.map(|pair| format!("{} by {}", pair.minimal, pair.superset));
+            pairs.collect::<Vec<_>>().join(", ")
+        };
+        let undecided = |of: &Explained| {
+            let is_open = |verdict| matches!(verdict, Verdict::Undecided | Verdict::Quarantined);
+            let outcomes = of.outcomes.iter().filter(|outcome| is_open(outcome.verdict));
+            outcomes.map(|outcome| outcome.set.name()).collect::<Vec<_>>().join(", ")
+        };
+        let all = || self.configurations.iter();
+        let any_undone =
+            all().any(|of| of.explanation.answers.iter().any(|a| !undone(a).is_empty()));
+        let any_undecided = all().any(|of| !undecided(of).is_empty());
+        Rows::new("Each configuration", all())
+            .key("configuration", |of| {
+                cell(of.configuration).link(link.map(|link| link(of.configuration, 0)))
+            })
+            .words("transition", |of| cell(of.explanation.transition.name()))
+            .words("minimal subsets", |of| list(of, minimal))
+            .when(any_undone, |rows| rows.words("undone", move |of| list(of, undone)))
+            .words("largest unchanged subsets", |of| {
+                list(of, |answer| {
+                    let sets = answer.largest_unflipped.iter().map(|set| set.name());
+                    sets.collect::<Vec<_>>().join(", ")
+                })
+            })
+            .when(any_undecided, |rows| rows.words("undecided", move |of| cell(undecided(of))))
+            .column("rollouts", "", "", |of| cell(of.rollouts))
+            .note("robot with camera", "robot fails alone, and succeeds with camera as well")
+            .note("undone", "a larger subset that was run does not change the outcome")
+            .note("largest unchanged subsets", "those that were run and do not change the outcome")
+            .table()
     }
 
     /// Returns the progress of the explanation: a sentence without subject and full stop.
@@ -200,21 +247,6 @@ fn is_settled(record: &Record) -> bool {
     record.outcome != Outcome::Missing
 }
 
-/// Appends the occurrences of each minimal subset.
-fn push_subsets(text: &mut String, title: &str, occurrences: &[&Occurrence]) {
-    if occurrences.is_empty() {
-        return;
-    }
-    let _ = writeln!(text, "\n{title}");
-    let _ = writeln!(text, "{:NAMES$}{:>15}{:>13}", "", "configurations", "established");
-    for occurrence in occurrences {
-        let (configurations, established) = (occurrence.configurations, occurrence.established);
-        let name = subset(occurrence.start, occurrence.set);
-        push_name(text, &name, NAMES);
-        let _ = writeln!(text, "{configurations:>15}{established:>13}");
-    }
-}
-
 /// Formats a subset: `camera+robot`, or `robot with camera` if the search started at robot.
 pub(crate) fn subset(start: AxisSet, set: AxisSet) -> String {
     match start.is_empty() {
@@ -223,33 +255,8 @@ pub(crate) fn subset(start: AxisSet, set: AxisSet) -> String {
     }
 }
 
-fn push_configuration(text: &mut String, explained: &Explained) {
-    let Explained { configuration, explanation, rollouts, .. } = explained;
-    let name = explanation.transition.name();
-    let rollouts = pluralise(u64::from(*rollouts), "rollout");
-    let _ = writeln!(text, "{name:<12} {configuration}  {rollouts}");
-    for answer in &explanation.answers {
-        push_answer(text, answer, explanation.transition);
-    }
-    let undecided = explained
-        .outcomes
-        .iter()
-        .filter(|outcome| matches!(outcome.verdict, Verdict::Undecided | Verdict::Quarantined));
-    let undecided: Vec<&str> = undecided.map(|outcome| outcome.set.name()).collect();
-    if !undecided.is_empty() {
-        push_wrapped(text, "  undecided: ", &undecided.join(", "));
-    }
-}
-
-fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
-    let (flipped, unflipped) = match transition {
-        Transition::Compensated => ("succeeds", "fails"),
-        _ => ("fails", "succeeds"),
-    };
-    let prefix = match answer.start.is_empty() {
-        true => format!("  {flipped}: "),
-        false => format!("  {}, which fails alone, {flipped}: ", answer.start),
-    };
+/// Lists the minimal subsets, and what is open about them.
+fn minimal(answer: &Answer) -> String {
     let minimal = answer.minimal.iter().map(|minimal| {
         let name = subset(answer.start, minimal.set);
         match minimal.is_established() {
@@ -260,12 +267,5 @@ fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
             ),
         }
     });
-    push_wrapped(text, &prefix, &minimal.collect::<Vec<_>>().join(", "));
-    let largest: Vec<&str> = answer.largest_unflipped.iter().map(|set| set.name()).collect();
-    push_wrapped(text, &format!("  still {unflipped}: "), &largest.join(", "));
-    for pair in &answer.non_monotone {
-        let words =
-            format!("{} {flipped}, and with more axes {} {unflipped}", pair.minimal, pair.superset);
-        push_wrapped(text, "  not monotone: ", &words);
-    }
+    minimal.collect::<Vec<_>>().join(", ")
 }

@@ -19,9 +19,7 @@ use crate::subject::{Subject, agree, pluralise};
 /// Results of a campaign of LIBERO's family or of a suite file, under one protocol.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Family {
-    /// Name of the campaign.
     pub campaign: String,
-    /// Name of the policy.
     pub policy: String,
     /// The benchmark, or the name of the suite file.
     pub benchmark: String,
@@ -34,7 +32,6 @@ pub struct Family {
     /// True if variants are paired with unperturbed rollouts.
     #[serde(skip)]
     pub is_paired: bool,
-    /// The unperturbed rollouts.
     pub unperturbed: Line,
     /// LIBERO-Para's types by their first name: `obj`, `act`, `comp`; empty for another benchmark.
     pub kinds: Vec<Line>,
@@ -53,10 +50,8 @@ pub struct Family {
     pub published: Vec<PublishedRow>,
 }
 
-/// A policy in the benchmark's published table.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PublishedRow {
-    /// The policy's published name.
     pub policy: String,
     /// Successes over all variants of each dimension, per cent.
     pub percent: BTreeMap<&'static str, f64>,
@@ -67,17 +62,13 @@ pub struct PublishedRow {
 pub struct Line {
     /// Dimension, suite, type or difficulty; `unperturbed`, or `all`.
     pub name: String,
-    /// Tasks with an outcome.
     pub tasks: u64,
-    /// Rollouts with an outcome.
     pub rollouts: u64,
-    /// Successful rollouts.
     pub successes: u64,
     /// Successes over rollouts, per cent, as in the benchmark's table.
     pub percent: Option<f64>,
     /// 95 % interval of `percent`, by a bootstrap over tasks.
     pub interval: Option<Interval>,
-    /// Reason why `interval` is withheld.
     pub no_interval: Option<NoInterval>,
     /// Rollouts with an outcome whose unperturbed rollout has an outcome, too.
     pub pairs: u64,
@@ -89,28 +80,21 @@ pub struct Line {
     pub loss: Option<f64>,
     /// 95 % interval of `loss`.
     pub loss_interval: Option<Interval>,
-    /// Reason why `loss_interval` is withheld.
     pub no_loss_interval: Option<NoInterval>,
 }
 
 /// Failure to report on a campaign of LIBERO's family or of a suite file.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FamilyError {
-    /// A rollout's variant is unknown.
     #[error("report on campaign `{campaign}`")]
     Rollout {
-        /// The campaign.
         campaign: String,
-        /// Error that names the rollout.
         #[source]
         source: SelectionError,
     },
-    /// The protocol is unknown to this program.
     #[error("report on campaign `{campaign}`")]
     Protocol {
-        /// The campaign.
         campaign: String,
-        /// Error that names the protocol.
         #[source]
         source: UnknownName,
     },
@@ -203,9 +187,9 @@ impl Line {
 }
 
 impl Family {
-    /// Returns the sections of the page.
-    pub(crate) fn sections(&self) -> Vec<Section<'_>> {
-        vec![Section { title: self.title(), blocks: self.blocks(true) }]
+    /// Returns the section of the page.
+    pub(crate) fn section(&self) -> Section<'_> {
+        Section { title: self.title(), blocks: self.blocks(true) }
     }
 
     fn title(&self) -> String {
@@ -275,9 +259,6 @@ impl Family {
     }
 
     /// Reports on a campaign; `None` if it is neither of LIBERO's family nor of a suite file.
-    ///
-    /// # Errors
-    /// If this program does not know the campaign's protocol or one of its variants.
     pub fn of(subject: &Subject) -> Result<Option<Self>, FamilyError> {
         let Some(protocol) = &subject.protocol else {
             return Ok(None);
@@ -382,13 +363,15 @@ impl Family {
         }))
     }
 
-    /// Writes the report for a terminal; `is_full` adds the lines of `cells` and the published
-    /// table.
-    pub fn text(&self, is_full: bool) -> String {
-        let title =
-            format!("Campaign {} of policy {}: {}", self.campaign, self.policy, self.title());
-        let blocks = [Block::Heading(title)].into_iter().chain(self.blocks(is_full));
+    /// Writes the short report for a terminal.
+    pub(crate) fn brief(&self) -> String {
+        let blocks = [Block::Heading(self.heading())].into_iter().chain(self.blocks(false));
         block::text(&blocks.collect::<Vec<_>>())
+    }
+
+    /// Returns the title of the text.
+    pub(crate) fn heading(&self) -> String {
+        format!("Campaign {} of policy {}: {}", self.campaign, self.policy, self.title())
     }
 
     /// Returns the row of this campaign, and the published rows.
@@ -514,7 +497,6 @@ pub struct Pride {
     pub percent: Option<f64>,
     /// 95 % interval of `percent`, by a bootstrap over tasks.
     pub interval: Option<Interval>,
-    /// Reason why `interval` is withheld.
     pub no_interval: Option<NoInterval>,
 }
 

@@ -18,13 +18,10 @@ use crate::subject::{Subject, agree, pluralise};
 /// Comparison of two campaigns over the rollouts that have an outcome in both.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct FamilyComparison {
-    /// Campaign A; its label has the policy and the protocol.
     pub a: Side,
-    /// Campaign B.
     pub b: Side,
     /// Number of rollouts with an outcome in A but not in B, and in B but not in A.
     pub unpaired: [u64; 2],
-    /// The unperturbed rollouts.
     pub unperturbed: PairedLine,
     /// Dimensions, suites or types, in the benchmark's order.
     pub groups: Vec<PairedLine>,
@@ -37,23 +34,17 @@ pub struct FamilyComparison {
 pub struct PairedLine {
     /// Dimension, suite or type; `unperturbed` or `all`.
     pub name: String,
-    /// Tasks of the pairs.
     pub tasks: u64,
     /// Rollouts with an outcome in both campaigns.
     pub pairs: u64,
-    /// Successes of A.
     pub a_successes: u64,
-    /// Successes of B.
     pub b_successes: u64,
-    /// Pairs in which A succeeds and B fails.
     pub only_a: u64,
-    /// Pairs in which B succeeds and A fails.
     pub only_b: u64,
     /// Success of A less that of B, percentage points.
     pub difference: Option<f64>,
     /// 95 % interval of `difference`, by a bootstrap over tasks.
     pub interval: Option<Interval>,
-    /// Reason why `interval` is withheld.
     pub no_interval: Option<NoInterval>,
 }
 
@@ -63,7 +54,6 @@ pub enum FamilyComparisonError {
     /// This program does not know a campaign's protocol or one of its variants.
     #[error(transparent)]
     Family(#[from] FamilyError),
-    /// No rollouts can be paired.
     #[error(transparent)]
     Unpairable(#[from] Unpairable),
 }
@@ -71,10 +61,6 @@ pub enum FamilyComparisonError {
 impl FamilyComparison {
     /// Compares two campaigns; `None` if one of them is neither of LIBERO's family nor of a suite
     /// file.
-    ///
-    /// # Errors
-    /// If the campaigns are of different benchmarks, asset packs, MuJoCo versions, renderers or looks,
-    /// have an unknown variant or protocol, or have no rollout in common.
     pub fn of(a: &Subject, b: &Subject) -> Result<Option<Self>, FamilyComparisonError> {
         let (Some(family_a), Some(family_b)) = (Family::of(a)?, Family::of(b)?) else {
             return Ok(None);
@@ -137,14 +123,6 @@ impl FamilyComparison {
                 .collect(),
             all: PairedLine::new(Line::new("all", variants.iter())),
         }))
-    }
-
-    /// Writes the comparison as JSON, as docs/JSON.md describes it.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, serde_json::Error> {
-        serde_json::to_string_pretty(self)
     }
 
     /// Writes the comparison for a terminal.

@@ -170,7 +170,10 @@ pub fn all(document: &Document) -> Vec<Figure> {
         }
         figures.extend(analysis.thresholds.iter().flat_map(of_thresholds));
         for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
-            figures.extend([interaction_matrix(analysis, level), additive(analysis, level)]);
+            figures.extend([
+                interaction_matrix(&analysis.label, level),
+                additive(&analysis.label, level),
+            ]);
         }
     }
     for pair in document.comparisons() {

@@ -50,7 +50,6 @@ pub enum ImportError {
     TooLarge { path: PathBuf },
     #[error("import {path}: it has no row")]
     Empty { path: PathBuf },
-    /// `about.json` cannot be parsed.
     #[error("read {path}, which describes the rows")]
     About { path: PathBuf, source: JsonError },
 }
@@ -60,7 +59,6 @@ pub enum ImportError {
 pub struct BadLine {
     /// Number of the line, from 1.
     pub number: usize,
-    /// Reason why the line is invalid.
     pub reason: String,
 }
 
@@ -193,7 +191,6 @@ fn read_about(path: &Path) -> Result<About, ImportError> {
 /// Rows and bad lines read so far.
 #[derive(Default)]
 struct Reading {
-    /// Number of the last line.
     number: usize,
     records: Vec<Record>,
     progress: Vec<Progress>,
@@ -207,7 +204,6 @@ struct Reading {
     execution: Option<Execution>,
     /// Protocol of the first row, if it has one.
     protocol: Option<String>,
-    /// Number of bad lines.
     bad: usize,
     /// The first bad lines, which the error names.
     named: Vec<BadLine>,

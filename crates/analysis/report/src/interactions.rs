@@ -1,36 +1,30 @@
 //! Interactions of the axes in a campaign by level, over the configurations whose whole
-//! lattice was run, as text for a terminal and as JSON. `adaptive::subsets` defines
+//! lattice was run, as blocks of a report and as JSON. `adaptive::subsets` defines
 //! the interactions.
 
 use std::collections::BTreeMap;
-use std::fmt::Write;
 
 use adaptive::subsets::{
     CompleteLattice, Estimate, IncompleteLattice, Interactions, Lattice, LatticeError,
     configurations, own_configurations,
 };
-use libero_ctrl::{Axis, AxisSet, JsonError, Level, RolloutId};
-use paired::{Bootstrap, push_wrapped};
-use serde::Serialize;
+use libero_ctrl::{Axis, AxisSet, Level, RolloutId};
+use paired::Bootstrap;
+use serde::{Serialize, Serializer};
 
+use crate::block::{self, Block, Cell, Rows, Section, cell};
+use crate::figures;
+use crate::page::figure;
+use crate::page::findings::sentence;
 use crate::subject::Subject;
 use crate::words::{percent, points, points_interval};
 
-/// Width of the column of axis names, in characters.
-const NAMES: usize = 48;
-/// Width of the column of success rates, in characters.
-const RATE: usize = 7;
-/// Width of the column of changes of success, in characters.
-const CHANGE: usize = 8;
-
-/// Interactions of a campaign's axes.
 #[derive(Clone, Debug)]
 pub struct AxisInteractions {
     pub campaign: String,
     pub policy: String,
     /// Warnings to be read first.
     pub notes: Vec<String>,
-    /// Settings of the intervals.
     pub bootstrap: Bootstrap,
     /// Each level with a configuration whose whole lattice was run, in order of radius.
     pub levels: Vec<LevelInteractions>,
@@ -64,10 +58,6 @@ pub enum NoInteractions {
 impl AxisInteractions {
     /// Computes the interactions of a subject from its own subsets or, if it explains a campaign,
     /// from its outcomes and those of that campaign.
-    ///
-    /// # Errors
-    /// If the campaign's axes or records are invalid ([`LatticeError`]), or no configuration has an
-    /// outcome under every subset of the axes.
     pub fn of(subject: &Subject) -> Result<Self, NoInteractions> {
         let campaign = subject.origin_name();
         let explains = subject.explains();
@@ -123,56 +113,25 @@ impl AxisInteractions {
         }
     }
 
-    /// Writes the interactions as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, JsonError> {
-        Ok(serde_json::to_string_pretty(&self.form())?)
-    }
-
-    pub(crate) fn form(&self) -> JsonForm<'_> {
-        JsonForm {
-            campaign: &self.campaign,
-            policy: &self.policy,
-            notes: &self.notes,
-            bootstrap: self.bootstrap,
-            levels: self.levels.iter().map(JsonLevel::new).collect(),
-        }
-    }
-
     /// Writes the interactions as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
-        let mut text = format!("campaign {}\npolicy {}\n\n", self.campaign, self.policy);
-        for note in &self.notes {
-            push_wrapped(&mut text, "! ", note);
+        let head = format!("campaign {}\npolicy {}\n\n", self.campaign, self.policy);
+        let section = self.section(&self.policy);
+        format!("{head}{}", block::text(&section.blocks))
+    }
+
+    /// Returns the section of a report in which the policy has this label.
+    pub(crate) fn section<'a>(&'a self, label: &'a str) -> Section<'a> {
+        let notes = self.notes.iter().map(|note| Block::Claim(sentence(note)));
+        let levels = self.levels.iter().flat_map(|level| level.blocks(label));
+        Section {
+            title: "Interactions of the axes".to_owned(),
+            blocks: notes.chain(levels).collect(),
         }
-        if !self.notes.is_empty() {
-            text.push('\n');
-        }
-        for level in &self.levels {
-            level.push(&mut text);
-        }
-        push_wrapped(
-            &mut text,
-            "",
-            "Success is the success rate under the subset, in percent. Effect is the subset's \
-             Moebius interaction, in points: the effect of its axes together beyond the effects of \
-             its smaller subsets. Nominal success and all interactions add up to simultaneous \
-             success. A share is an axis's Shapley value: its effect, averaged over all orders in \
-             which axes can be added. The index of a pair is its Shapley interaction index: the \
-             amount by which one axis changes the effect of the other; below 0 they do more harm \
-             together. Brackets hold 95 % intervals, which hold simultaneously for all shares, for \
-             all pairs, and for all effects of subsets.",
-        );
-        text
     }
 }
 
 /// Returns the outcomes of a configuration under every subset.
-///
-/// # Errors
-/// If an outcome is missing.
 fn complete_lattice(
     id: &RolloutId,
     lattice: &Lattice,
@@ -187,67 +146,105 @@ impl LevelInteractions {
         [&success[&AxisSet::EMPTY], &success[&self.interactions.full]]
     }
 
-    fn push(&self, text: &mut String) {
+    fn blocks<'a>(&'a self, label: &'a str) -> Vec<Block<'a>> {
         let Interactions { n, tasks, success, moebius, sizes, shapley, pairs, .. } =
             &self.interactions;
-        let _ = write!(text, "{}: {n} configurations of {tasks} tasks", self.level);
+        let mut summary = format!("{}: {n} configurations of {tasks} tasks", self.level);
         if self.left_out > 0 {
-            let _ = write!(text, "; {} lack an outcome and are left out", self.left_out);
+            summary += &format!("; {} lack an outcome and are left out", self.left_out);
         }
-        text.push_str("\n\n");
+        let figure = move || {
+            let panels = [figures::interaction_matrix(label, self), figures::additive(label, self)];
+            figure(FIGURE, panels.into())
+        };
         let [nominal, simultaneous] = self.ends();
-        push_line(text, "from nominal to simultaneous", "success", "effect");
-        push_line(text, "nominal", &rate(nominal), "");
-        for (axes, estimate) in sizes {
-            let name = match axes {
-                1 => "+ each axis alone".to_owned(),
-                axes => format!("+ sets of {axes} axes"),
+        let steps = sizes.iter().map(|(axes, effect)| match axes {
+            1 => ("+ each axis alone".to_owned(), None, Some(effect)),
+            axes => (format!("+ sets of {axes} axes"), None, Some(effect)),
+        });
+        let steps = [("nominal".to_owned(), Some(nominal), None)].into_iter().chain(steps);
+        let steps = steps.chain([("= simultaneous".to_owned(), Some(simultaneous), None)]);
+        let subsets = success.iter();
+        let subsets =
+            subsets.map(|(set, success)| (set.to_string(), Some(success), moebius.get(set)));
+        let effects =
+            |title: &str, name, rows: Vec<(String, Option<&Estimate>, Option<&Estimate>)>| {
+                let rows = Rows::new(format!("{title} at {}", self.level), rows)
+                    .key(name, |(name, ..)| cell(name))
+                    .column("success", "%", "", |(_, success, _)| {
+                        cell(success.map_or_else(String::new, |success| percent(success.value)))
+                    })
+                    .column("effect", "points", EFFECT, |(.., effect)| change(*effect))
+                    .column("95 %", "", INTERVAL, |(.., effect)| interval(*effect));
+                Block::Folded(rows.table())
             };
-            push_line(text, &name, "", &change(estimate));
-        }
-        push_line(text, "= simultaneous", &rate(simultaneous), "");
-        text.push('\n');
-        push_line(text, "shares of the change", "", "share");
-        for (axis, estimate) in shapley {
-            push_line(text, axis.name(), "", &change(estimate));
-        }
-        text.push('\n');
-        push_line(text, "pairs", "", "index");
-        for (pair, estimate) in pairs {
-            push_line(text, pair.name(), "", &change(estimate));
-        }
-        text.push('\n');
-        push_line(text, "subsets", "success", "effect");
-        for (set, estimate) in success {
-            let beyond = moebius.get(set).map(change).unwrap_or_default();
-            push_line(text, set.name(), &rate(estimate), &beyond);
-        }
-        text.push('\n');
+        let values = |title: &str, name, note: &str, rows: Vec<(&'static str, &Estimate)>| {
+            let rows = Rows::new(format!("{title} at {}", self.level), rows)
+                .key("axes", |(name, _)| cell(name))
+                .column(name, "points", note, |(_, value)| change(Some(value)))
+                .column("95 %", "", INTERVAL, |(_, value)| interval(Some(value)));
+            Block::Folded(rows.table())
+        };
+        vec![
+            Block::Paragraph(format!("{summary}.")),
+            Block::Html(Box::new(figure)),
+            effects("From nominal to simultaneous", "step", steps.collect()),
+            values(
+                "Shares of the change",
+                "share",
+                "Shapley value: the axis's effect, averaged over all orders in which axes can be \
+                 added",
+                shapley.iter().map(|(axis, value)| (axis.name(), value)).collect(),
+            ),
+            values(
+                "Pairs",
+                "index",
+                "Shapley interaction index: the amount by which one axis changes the effect of the \
+                 other; below 0 they do more harm together",
+                pairs.iter().map(|(pair, value)| (pair.name(), value)).collect(),
+            ),
+            effects("Every subset", "axes", subsets.collect()),
+        ]
     }
 }
 
-/// Appends a line; the change is right-aligned in its column and its interval follows.
-fn push_line(text: &mut String, name: &str, success: &str, change: &str) {
-    let (number, interval) = change.split_once(' ').unwrap_or((change, ""));
-    let line = format!("{name:<NAMES$}{success:>RATE$}{number:>CHANGE$} {interval}");
-    text.push_str(line.trim_end());
-    text.push('\n');
+const FIGURE: &str = "Left, framed on the diagonal: each axis's share of the change from nominal to simultaneous \
+     success; the shares add up to the whole change. Below the diagonal: the amount by which one \
+     axis of a pair changes the effect of the other; negative if the two axes do more harm \
+     together than the sum of their separate effects, positive if one makes up for the other, or \
+     if both do the same harm. Right: the change, by the number of axes that act together.";
+const EFFECT: &str = "Moebius interaction: the effect of the axes together beyond the effects of their smaller \
+     subsets; nominal success and all interactions add up to simultaneous success";
+const INTERVAL: &str = "holds simultaneously for all shares, for all pairs, and for all subsets";
+
+fn change(effect: Option<&Estimate>) -> Cell {
+    cell(effect.map_or_else(String::new, |effect| points(effect.value)))
 }
 
-fn rate(estimate: &Estimate) -> String {
-    percent(estimate.value)
+fn interval(effect: Option<&Estimate>) -> Cell {
+    let interval = effect.map(|effect| {
+        let interval = effect.simultaneous_ci95.or(effect.ci95);
+        points_interval(interval, effect.no_interval)
+    });
+    cell(interval.unwrap_or_default().trim_start())
 }
 
-/// Formats a change in ASCII, such as `-12.3 [-20.1, -4.0]`.
-fn change(estimate: &Estimate) -> String {
-    let interval = estimate.simultaneous_ci95.or(estimate.ci95);
-    let interval = points_interval(interval, estimate.no_interval);
-    format!("{}{interval}", points(estimate.value)).replace('−', "-")
+impl Serialize for AxisInteractions {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        JsonForm {
+            campaign: &self.campaign,
+            policy: &self.policy,
+            notes: &self.notes,
+            bootstrap: self.bootstrap,
+            levels: self.levels.iter().map(JsonLevel::new).collect(),
+        }
+        .serialize(serializer)
+    }
 }
 
 /// JSON form, with lists in place of maps so that every key is a fixed field name.
 #[derive(Serialize)]
-pub(crate) struct JsonForm<'a> {
+struct JsonForm<'a> {
     campaign: &'a str,
     policy: &'a str,
     notes: &'a [String],

@@ -1,20 +1,18 @@
 //! The report as one self-contained page of HTML without scripts, in a light and a dark
 //! scheme, for screens, phones and paper. The modules below write its sections.
 
-mod explanation;
-mod findings;
-pub(crate) mod markup;
+pub(crate) mod findings;
 mod methods;
-mod thresholds;
 
 use libero_ctrl::Level;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
 
 use crate::analysis::Analysis;
-use crate::block::{self, Block, Section};
+use crate::block::{self, Block, Rows, Section, cell};
 use crate::comparison::Comparison;
 use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
+use crate::subject::Quarantined;
 use crate::tables;
 
 /// The page's style, with that of its figures.
@@ -57,7 +55,7 @@ fn kicker(document: &Document) -> String {
 
 /// Renders the warnings, for another page that includes [`STYLE`].
 pub fn warnings(document: &Document) -> Markup {
-    findings::warnings(document)
+    findings::warnings(&document.all_warnings())
 }
 
 /// Renders the sections below the warnings, for another page that includes
@@ -70,7 +68,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
 /// Returns the sections of a report, without a title for those of figures alone.
 pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) -> Vec<Section<'a>> {
     if let Some(family) = &document.family {
-        return family.sections();
+        return vec![family.section(), quarantine(document)];
     }
     let analyses = document.analyses.as_slice();
     let section = |title: &str, blocks| Section { title: title.to_owned(), blocks };
@@ -81,19 +79,13 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
             figure(caption, panels.collect())
         }))
     };
-    let derived = analyses.iter().filter_map(Analysis::derived_text).map(Block::Text);
-    let mut sections = vec![
-        section("", derived.collect()),
-        section(
-            "",
-            vec![Block::Html(Box::new(move || {
-                html! { (explanation::findings(document, link)) (thresholds::sections(document)) }
-            }))],
-        ),
-        section("Findings", finding_blocks(analyses)),
-    ];
+    let methods = || section("", vec![Block::Html(Box::new(move || methods::methods(document)))]);
+    let mut sections: Vec<Section<'_>> =
+        analyses.iter().flat_map(|analysis| analysis.derived(link)).collect();
+    sections.push(section("Findings", finding_blocks(analyses)));
     if !analyses.iter().any(Analysis::is_paired) {
-        sections.push(section("", vec![Block::Html(Box::new(move || methods::methods(document)))]));
+        sections.push(quarantine(document));
+        sections.push(methods());
         return sections;
     }
     let suites = analyses.iter().flat_map(|analysis| {
@@ -167,9 +159,13 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
                 figures::directions,
             ),
             matrices,
-            Block::Html(Box::new(move || explanation::interactions(document))),
         ],
     ));
+    sections.extend(
+        analyses
+            .iter()
+            .filter_map(|analysis| Some(analysis.interactions.as_ref()?.section(&analysis.label))),
+    );
     let replication = analyses.iter().flat_map(|analysis| {
         let sentences = tables::replication(analysis).into_iter();
         sentences.map(move |sentence| named(analysis, sentence))
@@ -191,12 +187,8 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
     let solvable = tables::paired(SOLVABLE, analyses, |cell| cell.solvable.as_ref());
     let rest = [solvable, tables::bounds(analyses)].map(Block::Table);
     sections.push(section("Further tables", rest.into()));
-    sections.push(section(
-        "",
-        vec![Block::Html(Box::new(move || {
-            html! { (quarantine(document)) (methods::methods(document)) }
-        }))],
-    ));
+    sections.push(quarantine(document));
+    sections.push(methods());
     sections
 }
 
@@ -218,38 +210,24 @@ pub(crate) fn finding_blocks(analyses: &[Analysis]) -> Vec<Block<'_>> {
     blocks.collect()
 }
 
-/// Renders the table of quarantined rollouts with their last errors.
-fn quarantine(document: &Document) -> Markup {
-    let rows = document.analyses.iter().flat_map(|analysis| {
-        analysis.subject.errors.iter().map(|quarantined| {
-            vec![
-                html! { code { (quarantined.rollout) } },
-                markup::plain(&analysis.label),
-                markup::plain(&quarantined.last_error),
-            ]
+/// Lists the quarantined rollouts with their last errors.
+fn quarantine(document: &Document) -> Section<'_> {
+    let analyses = document.analyses.iter();
+    let rows = analyses.flat_map(|of| of.subject.errors.iter().map(move |error| (of, error)));
+    let table = Rows::new("In quarantine, with the last error", rows)
+        .key("rollout", |(_, error)| cell(&error.rollout))
+        .when(document.analyses.len() > 1, |rows| {
+            rows.words("policy", |(of, _): &(&Analysis, &Quarantined)| cell(&of.label))
         })
-    });
-    let rows: Vec<Vec<Markup>> = rows.collect();
-    html! {
-        @if !rows.is_empty() {
-            section {
-                h2 { "Quarantine" }
-                (markup::table("Quarantine", &["rollout", "policy.", "last error."], rows))
-            }
-        }
-    }
+        .words("last error", |(_, error)| cell(&error.last_error));
+    Section { title: "Quarantine".to_owned(), blocks: vec![Block::Table(table.table())] }
 }
 
 /// Renders a comparison of two policies, for another page that includes [`STYLE`].
 pub fn comparison(comparison: &Comparison) -> Markup {
-    let notes: Vec<&String> = comparison.warnings.iter().chain(&comparison.notes).collect();
+    let notes = comparison.warnings.iter().chain(&comparison.notes);
     html! {
-        @if !notes.is_empty() {
-            section.warnings role="note" aria-label="Warnings" {
-                h2 { "Warnings" }
-                ul { @for note in notes { li { (findings::sentence(note)) } } }
-            }
-        }
+        (findings::warnings(&notes.cloned().collect::<Vec<_>>()))
         (block::blocks_html(&comparison.blocks()))
     }
 }

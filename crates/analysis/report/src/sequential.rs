@@ -13,20 +13,17 @@ use crate::subject::{EarlyStop, Subject};
 /// outcomes so far if it has not stopped.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Sequential {
-    /// Rule for stopping early.
     pub rule: StopRule,
     /// Seed of the drawn order of the configurations.
     pub seed: u64,
     /// Strata of the order: each round has one configuration of each stratum.
     pub strata: Strata,
-    /// True if the campaign stopped early.
     pub has_stopped: bool,
     /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
     /// Number of configurations from which the intervals are computed: the first in the drawn
     /// order.
     pub used: usize,
-    /// Planned rollouts of the campaign.
     pub rollouts: usize,
     /// Rollouts that were not run because the campaign stopped early.
     pub saved: usize,

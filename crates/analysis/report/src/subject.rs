@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
     pub policy: String,
-    /// Source of the outcomes.
     pub origin: Origin,
     /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
@@ -140,9 +139,7 @@ pub struct Setups {
 /// Counts of executed actions with a component outside [-1, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BeyondRange {
-    /// Actions beyond the range.
     pub actions: u64,
-    /// All executed actions.
     pub of_actions: u64,
     /// Rollouts with at least one action beyond the range.
     pub rollouts: u64,
@@ -184,13 +181,7 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
     }
 }
 
-/// Formats a count with its noun: `1 rollout`, `2 rollouts`.
-pub(crate) fn pluralise(count: u64, noun: &str) -> String {
-    match count {
-        1 => format!("1 {noun}"),
-        count => format!("{count} {noun}s"),
-    }
-}
+pub(crate) use terminal::counted as pluralise;
 
 /// Returns the form of a verb that agrees with a count: `has` for 1, else `have`.
 pub(crate) fn agree(count: u64, singular: &'static str, plural: &'static str) -> &'static str {

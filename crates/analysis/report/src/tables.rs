@@ -388,8 +388,7 @@ pub(crate) fn replication(analysis: &Analysis) -> Vec<String> {
         (total > 0.0).then(|| {
             format!(
                 "Variance of S_sim at {}, {} replicates: {} between tasks, {} between \
-                 configurations, {} chance{}; standard error {} points, {} with one more \
-                 replicate, {} with ten more configurations of every task.",
+                 configurations, {} chance{}; standard error {} points.",
                 of.level,
                 of.replicates,
                 share(of.tasks),
@@ -397,8 +396,6 @@ pub(crate) fn replication(analysis: &Analysis) -> Vec<String> {
                 share(of.replicate),
                 effect.unwrap_or_default(),
                 percent(of.standard_error),
-                percent(of.one_more_replicate),
-                percent(of.ten_more_configurations),
             )
         })
     });

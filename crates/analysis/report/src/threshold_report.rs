@@ -1,4 +1,4 @@
-//! Report of a campaign that measures another campaign's thresholds, as text for a terminal
+//! Report of a campaign that measures another campaign's thresholds, as blocks of a report
 //! and as JSON. `adaptive::radii` defines thresholds and chooses the radii to run.
 
 use std::collections::BTreeMap;
@@ -6,15 +6,22 @@ use std::fmt::Write;
 
 use adaptive::radii::{Curve, Measurement, Ray, Threshold};
 use adaptive::{Decision, Outcomes};
-use libero_ctrl::{CONTROL_HZ, Condition, JsonError, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
-use paired::{Bootstrap, Outcome, Record, push_wrapped};
+use libero_ctrl::{CONTROL_HZ, Condition, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
+use paired::{Bootstrap, Outcome, Record};
 use serde::Serialize;
 
+use crate::block::{self, Block, Rows, Section, Table, cell, or_dash};
+use crate::figures;
+use crate::page::figure;
 use crate::subject::{Prospect, Subject, agree, pluralise};
 use crate::words;
 
-/// Width of the column of condition names, in characters.
-const NAMES: usize = 14;
+const FIGURE: &str = "Share of configurations that still succeed, by radius of the perturbation: a configuration \
+     counts up to a radius if it succeeds nominally and at every radius that was run, up to and \
+     including this one. L1, L2 and L3 are the paper's levels. A configuration fails somewhere \
+     between two radii that were run: the dashed lines are the smallest and the largest possible \
+     share. The diamond marks the radius at which half of all configurations still succeed; the \
+     whisker is the 95 % interval of this radius.";
 
 /// Measured thresholds of a campaign.
 #[derive(Clone, Debug, Serialize)]
@@ -50,12 +57,9 @@ pub struct ThresholdReport {
 /// The threshold of one configuration under one condition.
 #[derive(Clone, Debug, Serialize)]
 pub struct Measured {
-    /// Condition: the perturbed axes.
     pub condition: Condition,
     pub task: TaskRef,
-    /// The configuration's number.
     pub config: u16,
-    /// Kind of the threshold, as far as known.
     pub threshold: Kind,
     /// Largest radius below `fails_at` at which the configuration succeeds, 0 for the nominal
     /// rollout; without a failure, the largest successful radius.
@@ -71,16 +75,12 @@ pub struct Measured {
     pub outcomes: Vec<AtRadius>,
 }
 
-/// Kind of a threshold, as far as known.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
     NominalFails,
-    /// The nominal rollout has no outcome.
     NominalUnknown,
-    /// The threshold is between two radii.
     Between,
-    /// The threshold is beyond the largest radius.
     Beyond,
     /// No failure so far, and the largest radius has no outcome.
     Open,
@@ -120,9 +120,6 @@ pub struct BudgetTooSmall {
 
 impl ThresholdReport {
     /// Checks that the budget suffices for at least one configuration of the campaign.
-    ///
-    /// # Errors
-    /// If the budget is smaller than the number of rollouts that one configuration may take.
     pub fn check_budget(campaign: &Subject, thresholds: &Thresholds) -> Result<(), BudgetTooSmall> {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
         let is_empty = measurement.rays().next().is_none() && measurement.ray_count() > 0;
@@ -177,33 +174,39 @@ impl ThresholdReport {
         })
     }
 
-    /// Writes the measurement as JSON, several lines.
-    ///
-    /// # Errors
-    /// If serialisation fails, which is a defect.
-    pub fn json(&self) -> Result<String, JsonError> {
-        Ok(serde_json::to_string_pretty(self)?)
-    }
-
     /// Writes the measurement as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
-        let mut text = String::new();
-        push_wrapped(&mut text, "", &format!("{} {}", self.measured_by, self.describe_progress()));
+        block::text(&self.section().blocks)
+    }
+
+    /// Returns the section of a report.
+    pub(crate) fn section(&self) -> Section<'_> {
         let curves: Vec<&Curve> = self.curves.iter().filter(|curve| curve.n > 0).collect();
-        if !curves.is_empty() {
-            push_survival(&mut text, &curves);
-            push_half_success(&mut text, &curves);
+        let figure = || figure(FIGURE, figures::of_thresholds(self));
+        let summary = format!("{} {}.", self.measured_by, self.describe_progress());
+        let mut blocks = vec![
+            Block::Paragraph(summary),
+            Block::Html(Box::new(figure)),
+            Block::Folded(survival(&curves)),
+            Block::Table(half_success(&curves)),
+        ];
+        let latency = curves.iter().find(|curve| curve.condition == Condition::Latency);
+        blocks.extend(latency.map(|curve| Block::Paragraph(tolerated_delay(curve))));
+        if curves.iter().any(|curve| !curve.is_bisected) {
+            let words = "Where language is perturbed, there are wordings at L1, L2 and L3 and at \
+                         no radius between or beyond.";
+            blocks.push(Block::Paragraph(words.to_owned()));
         }
-        let not_monotone = self.thresholds.iter();
-        let not_monotone: Vec<&Measured> =
-            not_monotone.filter(|measured| !measured.recovers_at.is_empty()).collect();
-        if !not_monotone.is_empty() {
-            text.push_str("\nnot monotone: configurations that succeed again beyond a failure\n");
-        }
-        for measured in not_monotone {
-            push_not_monotone(&mut text, measured);
-        }
-        text
+        let recovered = self.thresholds.iter().filter(|of| !of.recovers_at.is_empty());
+        let name = "Not monotone: configurations that succeed again beyond a failure";
+        let recovered = Rows::new(name, recovered)
+            .key("task", |of| cell(of.task))
+            .key("condition", |of| cell(of.condition.label()))
+            .key("configuration", |of| cell(format!("c{:02}", of.config)))
+            .words("succeeds at", |of| cell(of.radii(true)))
+            .words("fails at", |of| cell(of.radii(false)));
+        blocks.push(Block::Table(recovered.table()));
+        Section { title: "Thresholds".to_owned(), blocks }
     }
 
     /// Returns the progress of the measurement: a sentence without subject and full stop.
@@ -271,77 +274,40 @@ fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
     Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
 }
 
-/// Appends the survival table: a row per condition, a column per radius of the grid.
-fn push_survival(text: &mut String, curves: &[&Curve]) {
-    text.push_str("\nconfigurations that still succeed, %, by radius\n");
+/// Share of configurations that still succeed, by condition and radius of the grid.
+fn survival(curves: &[&Curve]) -> Table {
     // Conditions that perturb the language axis have a shorter grid.
     let longest = curves.iter().max_by(|a, b| a.largest_radius.total_cmp(&b.largest_radius));
     let grid = longest.map(|curve| curve.grid.as_slice()).unwrap_or_default();
-    let radii: Vec<f64> = [0.0].into_iter().chain(grid.iter().copied()).collect();
-    let _ = write!(text, "{:NAMES$}{:>6}", "", "n");
-    for radius in &radii {
-        let level = Level::of_radius(*radius).filter(|level| level.is_named());
-        let name = match level {
-            Some(level) => level.to_string(),
-            None => radius.to_string(),
-        };
-        let _ = write!(text, "{name:>6}");
+    let mut rows = Rows::new("Configurations that still succeed, %, by radius", curves)
+        .key("condition", |curve| cell(curve.condition.label()))
+        .column("n", "", "", |curve| cell(curve.n));
+    for radius in [0.0].into_iter().chain(grid.iter().copied()) {
+        let level = Level::of_radius(radius).filter(|level| level.is_named());
+        let name = level.map_or_else(|| radius.to_string(), |level| level.to_string());
+        rows = rows.column(name, "", "", |curve| {
+            or_dash(curve.at(radius).map(|point| words::percent(point.survival)))
+        });
     }
-    text.push('\n');
-    for curve in curves {
-        words::push_name(text, curve.condition.label(), NAMES);
-        let _ = write!(text, "{:>6}", curve.n);
-        for radius in &radii {
-            let share = match curve.at(*radius) {
-                Some(point) => words::percent(point.survival),
-                None => "-".to_owned(),
-            };
-            let _ = write!(text, "{share:>6}");
-        }
-        text.push('\n');
-    }
+    rows.table()
 }
 
-/// Appends the table of median radii: a row per condition with the radius at which half of the
-/// configurations still succeed, its interval, and the numbers of configurations that fail
-/// nominally, succeed at the largest radius, or succeed again beyond a failure.
-fn push_half_success(text: &mut String, curves: &[&Curve]) {
-    text.push_str("\nradius at which half of the configurations still succeed\n");
-    let _ = writeln!(
-        text,
-        "{:NAMES$}{:>8}  {:<14}{:>14}{:>8}{:>14}",
-        "", "radius", "95 %", "nominal fails", "beyond", "not monotone"
-    );
-    for curve in curves {
-        words::push_name(text, curve.condition.label(), NAMES);
-        let _ = writeln!(
-            text,
-            "{:>8}  {:<14}{:>14}{:>8}{:>14}",
-            words::half_success(curve),
-            words::half_success_interval(&curve.half_success),
-            curve.nominal_fails,
-            curve.beyond,
-            curve.not_monotone
-        );
-    }
+/// The radius at which half of the configurations still succeed, by condition.
+fn half_success(curves: &[&Curve]) -> Table {
     let left_out: u64 = curves.iter().map(|curve| curve.left_out).sum();
-    if left_out > 0 {
-        let words = format!(
-            "{} {} in no figure, because outcomes are missing or in quarantine",
-            pluralise(left_out, "threshold"),
-            agree(left_out, "is", "are")
-        );
-        push_wrapped(text, "", &words);
-    }
-    let latency = curves.iter().find(|curve| curve.condition == Condition::Latency);
-    if let Some(words) = latency.map(|curve| tolerated_delay(curve)) {
-        push_wrapped(text, "", &words);
-    }
-    if curves.iter().any(|curve| !curve.is_bisected) {
-        let words = "where language is perturbed, there are wordings at L1, L2 and L3 and at no \
-                     radius between or beyond";
-        push_wrapped(text, "", words);
-    }
+    Rows::new("Radius at which half of the configurations still succeed", curves)
+        .key("condition", |curve| cell(curve.condition.label()))
+        .column("n", "", "", |curve| cell(curve.n))
+        .column("radius", "", "", |curve| cell(words::half_success(curve)))
+        .column("95 %", "", "", |curve| cell(words::half_success_interval(&curve.half_success)))
+        .column("nominal fails", "", "", |curve| cell(curve.nominal_fails))
+        .column("beyond", "", "succeed at the largest radius", |curve| cell(curve.beyond))
+        .column("not monotone", "", "", |curve| cell(curve.not_monotone))
+        .when(left_out > 0, |rows| {
+            let note = "thresholds in no figure, because outcomes are missing or in quarantine";
+            rows.column("left out", "", note, |curve| cell(curve.left_out))
+        })
+        .table()
 }
 
 /// Describes the delay up to which half of the configurations succeed, in whole control steps.
@@ -354,24 +320,17 @@ pub(crate) fn tolerated_delay(curve: &Curve) -> String {
     };
     match curve.half_success.radius {
         Some(radius) => format!(
-            "latency: half of the configurations succeed with a delay of {}; a radius of 2 is one \
-             step",
+            "Latency: half of the configurations succeed with a delay of {}; a radius of 2 is one \
+             step.",
             delay(radius)
         ),
         None if curve.beyond * 2 > curve.n => format!(
-            "latency: more than half of the configurations succeed with a delay of {}, the longest \
-             that was run",
+            "Latency: more than half of the configurations succeed with a delay of {}, the longest \
+             that was run.",
             delay(curve.largest_radius)
         ),
-        None => "latency: fewer than half of the configurations succeed without a delay, or the \
-                 share that succeeds with a delay is not known"
+        None => "Latency: fewer than half of the configurations succeed without a delay, or the \
+                 share that succeeds with a delay is not known."
             .to_owned(),
     }
-}
-
-fn push_not_monotone(text: &mut String, measured: &Measured) {
-    let Measured { condition, task, config, .. } = measured;
-    let [succeeds, fails] = [true, false].map(|success| measured.radii(success));
-    let words = format!("succeeds at {succeeds}; fails at {fails}");
-    push_wrapped(text, "  ", &format!("{task} {} c{config:02}: {words}", condition.label()));
 }

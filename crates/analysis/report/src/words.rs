@@ -2,19 +2,9 @@
 //! typographic minus sign, intervals in brackets.
 
 use std::collections::BTreeSet;
-use std::fmt::Write;
 
 use adaptive::radii::{Curve, HalfSuccess, Point};
 use paired::{Interval, NoInterval};
-
-/// Appends a name in a column of `width` characters. If the name fills the column, an empty column
-/// follows on the next line.
-pub(crate) fn push_name(text: &mut String, name: &str, width: usize) {
-    let _ = match name.len() < width {
-        true => write!(text, "{name:width$}"),
-        false => write!(text, "{name}\n{:width$}", ""),
-    };
-}
 
 /// Formats a rate or a loss in percent: `87.5`, `−0.3`.
 pub(crate) fn percent(rate: f64) -> String {

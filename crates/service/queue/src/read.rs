@@ -16,11 +16,9 @@ mod campaigns;
 mod changes;
 mod configurations;
 mod derivations;
-mod estimate;
 mod forecast;
 mod jobs;
 mod results;
-mod speed;
 mod standing;
 
 use std::collections::BTreeMap;
@@ -42,10 +40,9 @@ pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW, Stage};
 pub use changes::{Changes, Sizes};
 pub use configurations::{ResultLine, RolloutLine};
 pub use derivations::SubsetRow;
-pub use estimate::{Forecast, Planned, Speed};
+pub use forecast::Forecast;
 pub use jobs::{FailureLine, JobDetails, JobFilter, JobLine, MAX_JOBS_LISTED, ResultOrigin};
 pub use results::{Edition, ExportedRow, RecordRow, SetupRow};
-pub use speed::{Bottleneck, Rate, Spent};
 pub use standing::{MAX_WORKERS_LISTED, PolicyLine, QuarantinedLine, WorkerLine};
 
 /// The committed database at one instant.

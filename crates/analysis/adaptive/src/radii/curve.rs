@@ -37,7 +37,6 @@ const CONVERGED: f64 = 1e-12;
 /// Survival curve of configurations over the radius, under one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Curve {
-    /// Condition: the perturbed axes.
     pub condition: Condition,
     /// Radii that are run for every configuration.
     pub grid: Vec<f64>,
@@ -49,7 +48,6 @@ pub struct Curve {
     /// Number of configurations in the curve: those that fail nominally, and those that succeed
     /// nominally with no rollout of the grid missing; outcomes of the grid may be quarantined.
     pub n: u64,
-    /// Number of tasks of these configurations.
     pub tasks: usize,
     /// Number of excluded configurations: a rollout of the grid is missing, or the nominal rollout
     /// has no outcome.
@@ -73,11 +71,9 @@ pub struct Curve {
 /// A point of a curve. Shares are fractions of the configurations.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Point {
-    /// The radius.
     pub radius: f64,
     /// The level of this radius, if the protocol has one.
     pub level: Option<Level>,
-    /// The share that survives.
     pub survival: f64,
     /// The smallest and the largest share that the brackets allow.
     pub band: [f64; 2],
@@ -100,7 +96,6 @@ pub struct HalfSuccess {
     /// that possibly no more than half survive beyond radius 0; an upper end at the largest radius
     /// means that possibly half survive up to every smaller one.
     pub ci95: Option<Interval>,
-    /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
 }
 

@@ -26,7 +26,6 @@ pub struct Measurement {
     searches: BTreeMap<Condition, Search>,
     /// Upper bound of the number of further rollouts of each configuration.
     costs: BTreeMap<Configuration, u32>,
-    /// Configurations that are measured.
     sample: BTreeSet<Configuration>,
 }
 

@@ -8,7 +8,6 @@ use crate::outcomes::Outcomes;
 /// Direction of one configuration under one condition; radii are positions on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Ray {
-    /// Condition: the perturbed axes.
     pub condition: Condition,
     pub task: TaskRef,
     pub config: u16,

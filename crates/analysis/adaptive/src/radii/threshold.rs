@@ -11,14 +11,12 @@ use crate::outcomes::Outcomes;
 pub enum Threshold {
     /// The nominal rollout fails, so that there is no threshold.
     NominalFails,
-    /// The nominal rollout has no outcome.
     NominalUnknown,
     /// The threshold lies between the smallest failing radius and the largest successful
     /// radius below it.
     Between {
         /// Largest successful radius below `fails_at`; L0 is the nominal rollout.
         succeeds_at: Level,
-        /// Smallest failing radius.
         fails_at: Level,
     },
     /// The largest radius of the grid succeeds and no radius is known to fail: the threshold is

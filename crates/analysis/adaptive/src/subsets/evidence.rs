@@ -18,10 +18,7 @@ pub enum Verdict {
     /// A requested rollout has no result.
     Pending,
     /// Undecided; more rollouts are needed.
-    Short {
-        /// Number of further replicates.
-        more: u32,
-    },
+    Short { more: u32 },
     /// Every rollout is quarantined: the outcome is unknown and no rollout runs again.
     Quarantined,
     /// Undecided after the largest allowed number of rollouts, or because the results of a
@@ -116,9 +113,7 @@ pub struct Repeats {
 /// Schedule of the looks, that is, tests, at the rollouts of one subset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Looks {
-    /// Rollouts per batch.
     pub batch: u32,
-    /// Largest number of rollouts.
     pub most: u32,
     /// Two-sided significance level of one test.
     pub level: f64,

@@ -32,7 +32,6 @@ use super::order::{between, maximal, minimal};
 /// One transition, explained as far as its rollouts allow.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Explanation {
-    /// Emergent or compensated.
     pub transition: Transition,
     /// One answer for an emergent failure; for a compensated success, one for each axis
     /// that fails alone.

@@ -27,7 +27,6 @@ pub struct CompleteLattice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("axes {full}: {set} has no outcome")]
 pub struct IncompleteLattice {
-    /// The campaign's axes.
     pub full: AxisSet,
     /// The first subset without an outcome.
     pub set: AxisSet,
@@ -61,7 +60,6 @@ pub struct Estimate {
     pub value: f64,
     /// 95 % interval by resampling tasks ([`Bootstrap`]).
     pub ci95: Option<Interval>,
-    /// Reason why `ci95` is absent.
     pub no_interval: Option<NoInterval>,
     /// 95 % interval that holds simultaneously with the intervals of all other estimates of its
     /// kind: Möbius interactions, Shapley values or pairs. Absent for success and sizes, if `ci95`
@@ -73,11 +71,8 @@ pub struct Estimate {
 /// are success rates or differences of them, as fractions; "over `n`" names the denominator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interactions {
-    /// The axes.
     pub full: AxisSet,
-    /// Number of configurations.
     pub n: u64,
-    /// Number of tasks of these configurations.
     pub tasks: u64,
     /// v(A): the success rate under each subset, over `n`.
     pub success: BTreeMap<AxisSet, Estimate>,

@@ -25,12 +25,7 @@ pub enum LatticeError {
     #[error("explain axes {0}: an interaction needs at least two axes")]
     TooFewAxes(AxisSet),
     #[error("explain axes {full}: {set} is not a subset of them")]
-    OtherAxes {
-        /// The subset.
-        set: AxisSet,
-        /// The campaign's axes.
-        full: AxisSet,
-    },
+    OtherAxes { set: AxisSet, full: AxisSet },
     #[error("explain {}: replicate {} is recorded twice; keep one record", .0.id, .0.replicate)]
     Duplicate(DuplicateRecord),
     #[error(

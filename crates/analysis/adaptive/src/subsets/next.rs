@@ -3,7 +3,6 @@
 use std::collections::BTreeSet;
 
 use libero_ctrl::AxisSet;
-use serde::{Deserialize, Serialize};
 
 use super::evidence::Verdict;
 use super::explanation::{MinimalSubset, Search, Unexplained, confirm, selected};
@@ -12,71 +11,40 @@ use super::order::{maximal, minimal};
 use crate::decision::Decision;
 
 /// Strategy of the search for minimal subsets. Each strategy runs in batches; a batch is chosen
-/// when all outcomes of the previous one are known.
-///
-/// All three report only subsets that were observed to flip the outcome. They differ in
-/// the subsets that they find:
-///
-/// | | minimal pairs | larger minimal subsets |
-/// | --- | --- | --- |
-/// | [`Adaptive`](Self::Adaptive) | all, established | all, if outcomes are monotone |
-/// | [`TopDown`](Self::TopDown) | all, if outcomes are monotone | all, if outcomes are monotone |
-/// | [`Exhaustive`](Self::Exhaustive) | all, established | all, established |
-///
-/// Outcomes are *monotone* if every superset of a subset that flips the outcome
-/// flips it too. Minimal subsets of at most three axes found by `Adaptive` and `TopDown` are
-/// established even if outcomes are not monotone; for a larger minimal subset, at least the
-/// subsets that lack one of its axes were run. `Adaptive` and `TopDown` can miss a subset
-/// that flips the outcome and has a superset that does not: for rules in which a triple
-/// fails unless a fourth axis is present, and another pair or triple always fails, each of
-/// the two strategies recovers every minimal subset in half of the cases (the example
-/// `planted` measures cost and recovery of all strategies). Subsets whose rollouts are
-/// quarantined or undecided are listed in [`MinimalSubset::open`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+/// when all outcomes of the previous one are known. Both report only subsets that were observed to
+/// flip the outcome. Subsets whose rollouts are quarantined or undecided are listed in
+/// [`MinimalSubset::open`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
-    /// Runs all pairs first, then continues like `TopDown`.
+    /// Finds and establishes all minimal pairs, and all larger minimal subsets if outcomes are
+    /// *monotone*: every superset of a subset that flips the outcome flips it too. Minimal subsets
+    /// of at most three axes are established even if outcomes are not; for a larger one, at least
+    /// the subsets that lack one of its axes were run.
+    ///
+    /// Runs all pairs first. A subset is *settled* if it contains one that flips the outcome or is
+    /// contained in one that does not, so that monotone outcomes determine the subset's outcome.
+    /// Each further batch runs either the smallest or the largest unsettled subsets, whichever are
+    /// fewer. When all subsets are settled, the minimal subsets found are verified. A subset that
+    /// flips the outcome and has a superset that does not can be missed: of rules in which a triple
+    /// fails unless a fourth axis is present, and another pair or triple always fails, every
+    /// minimal subset is recovered in half of the cases (the example `planted`).
+    ///
+    /// Source: D. Gunopulos, R. Khardon, H. Mannila, S. Saluja, H. Toivonen and R. S. Sharma,
+    /// Discovering all most specific sentences, ACM Transactions on Database Systems 28 (2003),
+    /// 140–174 (the two borders that settle a monotone function).
     #[default]
     Adaptive,
-    /// Needs the fewest rollouts. A subset is *settled* if it contains one that flips
-    /// the outcome or is contained in one that does not, so that monotone outcomes
-    /// determine the subset's outcome. Each batch runs either the smallest or the largest unsettled
-    /// subsets, whichever are fewer.
-    ///
-    /// The search begins with the subsets that lack a single axis. If outcomes are
-    /// monotone and there is one minimal subset, it consists of the axes whose absence
-    /// prevents the flip, and is run next. When all subsets are settled, the minimal
-    /// subsets found are verified.
-    ///
-    /// Sources: A. Zeller and R. Hildebrandt, Simplifying and isolating
-    /// failure-inducing input, IEEE Transactions on Software Engineering 28 (2002),
-    /// 183–200 (leaving out one part at a time); D. Gunopulos, R. Khardon, H.
-    /// Mannila, S. Saluja, H. Toivonen and R. S. Sharma, Discovering all most
-    /// specific sentences, ACM Transactions on Database Systems 28 (2003), 140–174
-    /// (the two borders that settle a monotone function).
-    TopDown,
     /// Runs the whole lattice above every start in one batch.
     Exhaustive,
 }
 
 impl Strategy {
-    /// All strategies.
-    pub const ALL: [Self; 3] = [Self::Adaptive, Self::TopDown, Self::Exhaustive];
-
-    /// Name in tables: `adaptive`, `top-down`, `exhaustive`.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Adaptive => "adaptive",
-            Self::TopDown => "top-down",
-            Self::Exhaustive => "exhaustive",
-        }
-    }
+    pub const ALL: [Self; 2] = [Self::Adaptive, Self::Exhaustive];
 }
 
 /// Rollouts of one subset.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
-    /// The axes to perturb.
     pub set: AxisSet,
     /// Number of replicates beyond those already requested.
     pub rollouts: u32,
@@ -139,7 +107,6 @@ fn next_batch(search: &Search, lattice: &Lattice, strategy: Strategy) -> Vec<Axi
         open.filter(|set| lattice.verdict(*set) == Verdict::NotRun).collect();
     let steps: &[Step] = match strategy {
         Strategy::Adaptive => &[pairs, border, verification],
-        Strategy::TopDown => &[border, verification],
         Strategy::Exhaustive => &[|_, not_run| not_run.to_vec()],
     };
     let batches = steps.iter().map(|step| step(search, &not_run));

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use libero_ctrl::RolloutId;
-use serde::{Deserialize, Serialize};
 
 use super::lattice::Lattice;
 use super::next::{Request, Strategy, next};
@@ -11,7 +10,7 @@ use crate::decision::Decision;
 use crate::source::rank;
 
 /// Settings for explaining a random sample of transitions within a budget.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sample {
     /// Total number of rollouts to spend beyond those of the explained campaign.
     pub budget: u32,

@@ -13,7 +13,6 @@ use super::{Sample, configurations, explain, plan};
 pub struct Addition {
     /// The simultaneous rollout of the configuration in the explained campaign.
     pub simultaneous: RolloutId,
-    /// The axes to perturb.
     pub axes: AxisSet,
     /// Replicates to run, which neither campaign has yet.
     pub replicates: Range<u32>,

@@ -19,7 +19,6 @@ use crate::outcomes::Tally;
 pub struct Explained {
     /// The configuration, named by its simultaneous rollout.
     pub configuration: RolloutId,
-    /// All axes of the campaign.
     pub full: AxisSet,
     /// Rule that determined the verdicts.
     pub evidence: Evidence,
@@ -36,7 +35,6 @@ pub struct Explained {
 /// Verdict and rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SubsetOutcome {
-    /// The axes that are perturbed.
     pub set: AxisSet,
     /// Verdict of the rollouts that are evidence.
     pub verdict: Verdict,
@@ -83,7 +81,6 @@ pub fn outcomes(lattice: &Lattice) -> Vec<SubsetOutcome> {
 /// Frequency of a minimal subset: a bar of an UpSet plot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Occurrence {
-    /// Emergent or compensated.
     pub transition: Transition,
     /// The set from which the search started: empty, or the axis that fails alone.
     pub start: AxisSet,

@@ -21,7 +21,6 @@ const ALPHA: f64 = 0.05;
 /// a variance above 0. A product of 0 or 1 has no interval.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Estimate {
-    /// The point estimate.
     pub value: f64,
     /// Interval for these tasks and these directions, over other initial states and the
     /// chance of rollouts.

@@ -23,7 +23,6 @@ pub struct CampaignLook {
     pub used: Vec<Unit>,
     /// Number of configurations of the campaign.
     pub units: usize,
-    /// The look at each level.
     pub levels: BTreeMap<Level, Look>,
 }
 

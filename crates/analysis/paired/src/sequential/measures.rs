@@ -51,7 +51,6 @@ pub struct Look {
     pub used: usize,
     /// Units of the population.
     pub units: usize,
-    /// Interval of each measure.
     pub intervals: BTreeMap<Measure, RateInterval>,
 }
 

@@ -22,7 +22,6 @@ pub struct Order<U> {
 pub struct Drawn<U> {
     /// Index of the unit's stratum.
     pub stratum: usize,
-    /// The unit.
     pub unit: U,
 }
 

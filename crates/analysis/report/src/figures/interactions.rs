@@ -7,7 +7,6 @@ use maud::{Markup, html};
 
 use super::svg::{AXIS, HEAD, Scale, line, number, percent_ticks, rect, shortened, text, whisker};
 use super::{Figure, WIDTH};
-use crate::analysis::Analysis;
 use crate::interactions::LevelInteractions;
 use crate::words::{percent, points, points_interval};
 
@@ -20,13 +19,12 @@ const NAME_HEIGHT: f64 = 66.0;
 /// Opacity of a cell's colour above which its number is white.
 const DARK_ABOVE: f64 = 0.6;
 const STEP_LABEL_WIDTH: f64 = 132.0;
-/// Width of the column of numbers.
 const NUMBER_WIDTH: f64 = 58.0;
 const STEP_HEIGHT: f64 = 26.0;
 
 /// Draws the matrix: the Shapley value of each axis on the diagonal, the interaction of
 /// each pair below it.
-pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Figure {
+pub fn interaction_matrix(label: &str, level: &LevelInteractions) -> Figure {
     let interactions = &level.interactions;
     let axes: Vec<Axis> = interactions.full.axes().collect();
     let all = interactions.shapley.values().chain(interactions.pairs.values());
@@ -45,7 +43,7 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
         }
     };
     let body = html! {
-        (text(0.0, 15.0, "head", &heading(analysis, level)))
+        (text(0.0, 15.0, "head", &heading(label, level)))
         (text(WIDTH, 15.0, "small muted end", &format!("n = {}", interactions.n)))
         (text(0.0, 34.0, "small muted", "shares of the axes (framed), and pairs: points of success"))
         @for (row, axis) in axes.iter().enumerate() {
@@ -68,16 +66,14 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
         (text(0.0, bottom + NAME_HEIGHT + 36.0, "small muted",
             "bold: the 95 % interval excludes 0"))
     };
-    let title = format!(
-        "{}, {}: share of each axis, and interaction of each pair",
-        analysis.label, level.level
-    );
-    let name = format!("interactions-{}-{}", analysis.label, level.level);
+    let title =
+        format!("{}, {}: share of each axis, and interaction of each pair", label, level.level);
+    let name = format!("interactions-{}-{}", label, level.level);
     Figure::new(&name, title, bottom + NAME_HEIGHT + 44.0, body)
 }
 
-fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
-    format!("{}, {}", shortened(&analysis.label, 30), level.level)
+fn heading(label: &str, level: &LevelInteractions) -> String {
+    format!("{}, {}", shortened(label, 30), level.level)
 }
 
 /// Draws the cell of an axis or a pair: the colour shows the sign of the estimate, the opacity its
@@ -114,7 +110,7 @@ fn rect_outline([x, y]: [f64; 2], side: f64) -> Markup {
 
 /// Draws the steps from nominal to simultaneous success: the summed effects of single axes, of
 /// pairs, of triples, and so on.
-pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
+pub fn additive(label: &str, level: &LevelInteractions) -> Figure {
     let interactions = &level.interactions;
     let [nominal, simultaneous] = level.ends();
     let mut reached = nominal.value;
@@ -146,7 +142,7 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
         }
     };
     let body = html! {
-        (text(0.0, 15.0, "head", &heading(analysis, level)))
+        (text(0.0, 15.0, "head", &heading(label, level)))
         (text(WIDTH, 15.0, "small muted end", &format!("n = {}", interactions.n)))
         (text(0.0, 34.0, "small muted", "from nominal to simultaneous success"))
         (scale.axis([TOP, bottom], &ticks(domain, grain), "success, % of configurations"))
@@ -171,9 +167,9 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     };
     let title = format!(
         "{}, {}: from nominal to simultaneous success, by how many axes act together",
-        analysis.label, level.level
+        label, level.level
     );
-    let name = format!("additive-{}-{}", analysis.label, level.level);
+    let name = format!("additive-{}-{}", label, level.level);
     Figure::new(&name, title, bottom + AXIS, body)
 }
 

@@ -41,21 +41,20 @@ pub(super) fn subtitle(document: &Document) -> Markup {
     }
 }
 
-pub(super) fn warnings(document: &Document) -> Markup {
-    let warnings = document.all_warnings();
+pub(super) fn warnings(warnings: &[String]) -> Markup {
     html! {
         @if !warnings.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
                 h2 { "Warnings" }
-                ul { @for warning in &warnings { li { (sentence(warning)) } } }
+                ul { @for warning in warnings { li { (in_code(&sentence(warning))) } } }
             }
         }
     }
 }
 
-/// Renders a warning as a sentence, with names between backticks as code.
-pub(super) fn sentence(warning: &str) -> Markup {
+/// Returns a warning as a sentence.
+pub(crate) fn sentence(warning: &str) -> String {
     let mut letters = warning.chars();
     let first = letters.next().map(|c| c.to_uppercase().to_string());
-    in_code(&format!("{}{}.", first.unwrap_or_default(), letters.as_str()))
+    format!("{}{}.", first.unwrap_or_default(), letters.as_str())
 }

@@ -4,8 +4,8 @@ use std::io::Write;
 use std::sync::Arc;
 
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
-use parquet::column::writer::ColumnWriter;
-use parquet::data_type::ByteArray;
+use parquet::column::writer::{ColumnWriter, ColumnWriterImpl};
+use parquet::data_type::{ByteArray, DataType};
 use parquet::errors::ParquetError;
 use parquet::file::metadata::KeyValue;
 use parquet::file::properties::WriterProperties;
@@ -13,7 +13,7 @@ use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::Type;
 use serde_json::{Value as Json, json};
 
-use super::form::{Column, Kind, Table, TableError, Value};
+use super::{Column, Kind, Table, TableError, Value};
 
 impl<R> Table<'_, R> {
     /// Writes the table as one row group without compression. Its footer holds pandas
@@ -29,37 +29,31 @@ impl<R> Table<'_, R> {
         let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
         let mut group = file.next_row_group()?;
         for (_, kind, value) in &self.columns {
-            let values: Vec<Value> = self.rows.iter().map(value).collect();
+            let values = self.rows.iter().map(value);
             let mut column = group.next_column()?.expect("as many columns as fields");
             match column.untyped() {
                 ColumnWriter::ByteArrayColumnWriter(writer) => {
-                    let texts = values.iter().map(Value::as_text);
-                    let levels: Vec<i16> = texts.clone().map(|t| i16::from(t.is_some())).collect();
-                    let texts: Vec<ByteArray> = texts.flatten().map(ByteArray::from).collect();
-                    writer.write_batch(&texts, Some(&levels), None)?;
+                    write(writer, true, values, |value| {
+                        let Value::Text(text) = value else { return None };
+                        text.as_deref().map(ByteArray::from)
+                    })
                 }
-                ColumnWriter::BoolColumnWriter(writer) => {
-                    let bools = values.iter().map(Value::as_bool);
-                    let levels: Vec<i16> = bools.clone().map(|b| i16::from(b.is_some())).collect();
-                    let bools: Vec<bool> = bools.flatten().collect();
-                    writer.write_batch(&bools, Some(&levels), None)?;
-                }
+                ColumnWriter::BoolColumnWriter(writer) => write(writer, true, values, |value| {
+                    let Value::Bool(value) = value else { return None };
+                    value
+                }),
                 ColumnWriter::Int64ColumnWriter(writer) => {
-                    let numbers = values.iter().map(Value::as_number);
-                    let levels: Vec<i16> =
-                        numbers.clone().map(|n| i16::from(n.is_some())).collect();
-                    let levels = matches!(kind, Kind::Integer).then_some(levels.as_slice());
-                    let numbers: Vec<i64> = numbers.flatten().collect();
-                    writer.write_batch(&numbers, levels, None)?;
+                    write(writer, *kind == Kind::Integer, values, |value| {
+                        let Value::Number(value) = value else { return None };
+                        value
+                    })
                 }
-                ColumnWriter::DoubleColumnWriter(writer) => {
-                    let reals = values.iter().map(Value::as_real);
-                    let levels: Vec<i16> = reals.clone().map(|r| i16::from(r.is_some())).collect();
-                    let reals: Vec<f64> = reals.flatten().collect();
-                    writer.write_batch(&reals, Some(&levels), None)?;
-                }
+                ColumnWriter::DoubleColumnWriter(writer) => write(writer, true, values, |value| {
+                    let Value::Real(value) = value else { return None };
+                    value
+                }),
                 _ => unreachable!("columns are texts, booleans, integers and doubles"),
-            }
+            }?;
             column.close()?;
         }
         group.close()?;
@@ -111,33 +105,15 @@ fn field(name: &str, kind: Kind) -> Result<Type, ParquetError> {
     field.with_logical_type(logical).build()
 }
 
-impl Value {
-    fn as_text(&self) -> Option<&str> {
-        match self {
-            Self::Text(text) => text.as_deref(),
-            _ => None,
-        }
-    }
-
-    fn as_bool(&self) -> Option<bool> {
-        match self {
-            Self::Bool(value) => *value,
-            _ => None,
-        }
-    }
-
-    fn as_real(&self) -> Option<f64> {
-        match self {
-            Self::Real(real) => *real,
-            _ => None,
-        }
-    }
-
-    fn as_number(&self) -> Option<i64> {
-        match self {
-            Self::Number(number) => Some(*number),
-            Self::Integer(number) => *number,
-            _ => None,
-        }
-    }
+/// Writes a column's values, with their definition levels if the column is nullable.
+fn write<T: DataType>(
+    writer: &mut ColumnWriterImpl<'_, T>,
+    is_nullable: bool,
+    values: impl Iterator<Item = Value>,
+    of: impl Fn(Value) -> Option<T::T>,
+) -> Result<usize, ParquetError> {
+    let values: Vec<Option<T::T>> = values.map(of).collect();
+    let levels: Vec<i16> = values.iter().map(|value| i16::from(value.is_some())).collect();
+    let values: Vec<T::T> = values.into_iter().flatten().collect();
+    writer.write_batch(&values, is_nullable.then_some(levels.as_slice()), None)
 }

@@ -63,6 +63,13 @@ fn compare(a: Subject, b: Subject) -> Result<Comparison, Unpairable> {
 }
 
 #[test]
+fn the_documented_columns_are_those_of_the_tables() {
+    let columns = compare(campaign("first"), altered("second")).expect("comparable").columns();
+    let documented = include_str!("../../../../../docs/REPORT.md");
+    assert!(documented.contains(&columns), "docs/REPORT.md lacks\n{columns}");
+}
+
+#[test]
 fn json_has_every_condition_at_every_level_with_its_counts() {
     let (a, b) = (campaign("first"), altered("second"));
     // Counts the expected pairs by position: both subjects list their rollouts in the same order.
@@ -79,7 +86,7 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
         (count(Outcome::Success, Outcome::Failure), count(Outcome::Failure, Outcome::Success));
     assert!(a_only > 0 && b_only > 0);
     let comparison = compare(a, b).expect("comparable");
-    let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
+    let json: Value = serde_json::to_value(&comparison).expect("JSON");
     assert_eq!(json["a"]["label"], "first");
     assert_eq!(json["b"]["origin"]["campaign"]["name"], "of-second");
     assert_eq!((&json["warnings"], &json["notes"]), (&json!([]), &json!([])));
@@ -304,7 +311,7 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
     let without = compare(a.clone(), b.clone()).expect("comparable");
     assert!(!without.text().contains("Partial progress"));
     let comparison = compare(with_progress(a, 0), with_progress(b, 4)).expect("comparable");
-    let json: Value = serde_json::from_str(&comparison.json().expect("written")).expect("JSON");
+    let json: Value = serde_json::to_value(&comparison).expect("JSON");
     for cell in json["cells"].as_array().expect("cells") {
         let (goal, steps) = (&cell["progress"]["goal"], &cell["progress"]["steps"]);
         assert_eq!((&goal["n"], &steps["n"]), (&cell["difference"]["n"], &cell["difference"]["n"]));
@@ -330,7 +337,7 @@ fn differing_directions_or_placebos_give_a_warning() {
     let same_settings =
         Subject { directions: Directions::Own, placebo_radius: Some(0.02), ..b.clone() };
     let comparable = compare(a.clone(), same_settings).expect("comparable");
-    let json: Value = serde_json::from_str(&comparable.json().expect("written")).expect("JSON");
+    let json: Value = serde_json::to_value(&comparable).expect("JSON");
     assert_eq!((&json["directions"], &json["warnings"]), (&json!("own"), &json!([])));
     let mixed = Subject { placebo_radius: Some(0.05), ..b };
     let mixed = compare(a, mixed).expect("comparable");

@@ -94,17 +94,18 @@ fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
 
 #[test]
 fn rollouts_without_an_outcome_are_reported_and_in_no_figure() {
-    let family = family(subject(vec![Suite::Goal], |case| match case.task.index() {
+    let document = document(vec![subject(vec![Suite::Goal], |case| match case.task.index() {
         0 => Outcome::Missing,
         1 => Outcome::Quarantined,
         _ => by_dimension(case),
-    }));
+    })]);
+    let family = document.family.as_ref().expect("of LIBERO's family");
     assert!(family.missing > 10 && family.quarantined > 10);
     assert_eq!(family.unperturbed.rollouts, 8);
     assert_eq!(family.all.pairs, family.all.rollouts);
     // Eight tasks are too few for an interval.
     assert_eq!(family.all.no_interval, Some(NoInterval::TooFewTasks));
-    let text = family.text(true);
+    let text = document.text();
     assert!(text.contains("have no outcome so far"), "{text}");
     assert!(text.contains("are quarantined"), "{text}");
     assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");

@@ -36,7 +36,6 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
     let forecast = wire::ForecastRequest {
         policy: "p".into(),
         rollouts: vec![wire::SuiteRollouts { suite: "libero_object".into(), rollouts: 9 }],
-        policy_rate: Some(40.0),
     };
     let sign_off = wire::SignOffRequest { worker_id: "w".into() };
     let retry = wire::RetryJobsRequest { campaign: "c".into(), jobs: vec![], all: true };

@@ -49,24 +49,14 @@ fn every_monotone_rule_is_recovered_exactly_and_established() {
 
 #[test]
 fn searches_of_the_mixture_run_at_most_a_third_of_the_lattice() {
-    let share = |strategy| {
-        let means = Kind::MIXTURE.iter().map(|&kind| mean_subsets(kind, strategy));
-        means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER_SUBSETS
-    };
-    let (adaptive, top_down) = (share(Strategy::Adaptive), share(Strategy::TopDown));
-    assert!(adaptive <= 1.0 / 3.0, "{adaptive}");
-    assert!(top_down < adaptive, "{top_down}");
+    let means = Kind::MIXTURE.iter().map(|&kind| mean_subsets(kind, Strategy::Adaptive));
+    let share = means.sum::<f64>() / Kind::MIXTURE.len() as f64 / FURTHER_SUBSETS;
+    assert!(share <= 1.0 / 3.0, "{share}");
 }
 
 #[test]
-fn masked_pairs_are_always_found_by_the_adaptive_strategy_and_often_missed_by_top_down() {
+fn every_masked_pair_is_found_but_only_the_whole_lattice_finds_every_masked_triple() {
     assert_eq!(exact_share(Kind::MaskedPair, Strategy::Adaptive), 1.0);
-    let top_down = exact_share(Kind::MaskedPair, Strategy::TopDown);
-    assert!(top_down < 0.8, "{top_down}");
-}
-
-#[test]
-fn only_the_whole_lattice_finds_every_masked_triple() {
     let adaptive = exact_share(Kind::MaskedTriple, Strategy::Adaptive);
     assert!(adaptive < 0.9, "{adaptive}");
     for kind in Kind::NON_MONOTONE {

@@ -87,7 +87,7 @@ fn at_most_five_percent_of_lattices_of_coin_flips_lead_to_a_false_claim() {
     for (name, coins) in cases {
         for strategy in [Strategy::Adaptive, Strategy::Exhaustive] {
             let [_, wrong] = lattices_with_claims(coins, strategy, 3);
-            println!("{name}, {}: {wrong} of {LATTICES}", strategy.name());
+            println!("{name}, {strategy:?}: {wrong} of {LATTICES}");
             assert!(wrong * 20 <= LATTICES, "{name} {strategy:?}: {wrong} of {LATTICES}");
         }
     }
