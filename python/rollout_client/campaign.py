@@ -104,7 +104,7 @@ class Campaign:
         )
         rows: list[dict[str, Any]] = []
         while True:
-            page = self._connection.ask("ListJobs", request)
+            page = self._connection.call("ListJobs", request)
             rows += page
             if len(page) < PAGE:
                 return frames.frame(rows, frames.JOBS)

@@ -65,7 +65,7 @@ class Client:
 
     def campaigns(self) -> pd.DataFrame:
         """Returns a row per campaign, oldest first, with the fields of Status."""
-        answer = self._connection.ask("ListCampaigns", wire.ListCampaignsRequest())
+        answer = self._connection.call("ListCampaigns", wire.ListCampaignsRequest())
         statuses = map(Status.of, answer)
         return frames.frame(map(asdict, statuses), CAMPAIGNS)
 
@@ -106,7 +106,7 @@ class Client:
     def workers(self) -> pd.DataFrame:
         """Returns a row per worker, including workers that have ended, latest calls first; at most
         1,000 rows."""
-        answer = self._connection.ask("ListWorkers", wire.ListWorkersRequest())
+        answer = self._connection.call("ListWorkers", wire.ListWorkersRequest())
         return frames.frame(answer, frames.WORKERS)
 
     def report(self, *sources: str | os.PathLike[str]) -> Report:

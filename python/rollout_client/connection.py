@@ -56,20 +56,18 @@ class Connection:
 
     def campaign(self, name: str) -> tuple[dict[str, Any], str]:
         """Returns a campaign's status and its specification, JSON."""
-        status, spec = self.ask("GetCampaign", wire.GetCampaignRequest(campaign=name))
+        status, spec = self.call("GetCampaign", wire.GetCampaignRequest(campaign=name))
         return status, spec
-
-    def ask(self, name: str, request: object) -> Any:
-        """Like `call`, for a method that answers with JSON; returns its value."""
-        return json.loads(self.call(name, request).json)
 
     def call(self, name: str, request: object) -> Any:
         """Calls a method until the coordinator answers, the time for retries is over, or a retry
-        could not help. All operator calls may be repeated safely. Raises CoordinatorError."""
+        could not help; returns the value of the answer's JSON. All operator calls may be repeated
+        safely. Raises CoordinatorError."""
         method = self._method(self._channel.unary_unary, name)
-        return self._with_retries(
+        answer = self._with_retries(
             lambda: method(request, timeout=ANSWER_TIMEOUT, metadata=self.access.metadata)
         )
+        return json.loads(answer.json)
 
     def collect(self, name: str, request: object) -> list[Any]:
         """Like `call`, for a method whose answer is a stream."""

@@ -3,7 +3,6 @@ are `boolean`, and instants are in UTC. Absent values become missing values of p
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Iterable, Mapping
 from datetime import datetime, timedelta, timezone
 from typing import Any
@@ -58,20 +57,6 @@ def frame(rows: Iterable[Mapping[str, Any]], columns: Mapping[str, str]) -> pd.D
     data = {name: _column([row.get(name) for row in rows], columns[name]) for name in columns}
     result: pd.DataFrame = pd.DataFrame(data)
     return result
-
-
-def fields(message: Any, names: Iterable[str], **others: Any) -> dict[str, Any]:
-    """Returns the fields of a message with these names; None for an unset number and an empty text.
-    `others` are fields that have another name or form."""
-
-    def field(name: str) -> Any:
-        value = getattr(message, name)
-        # Only fields that are declared optional can be unset; HasField refuses the others.
-        with contextlib.suppress(ValueError):
-            value = value if message.HasField(name) else None
-        return None if value == "" else value
-
-    return {name: others[name] if name in others else field(name) for name in names}
 
 
 def instant(given: int | str) -> datetime:

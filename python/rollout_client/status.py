@@ -8,7 +8,6 @@ from datetime import datetime
 from typing import Any
 
 from . import frames
-from .proto import coordinator_pb2 as wire
 
 
 @dataclass(frozen=True)
@@ -117,13 +116,7 @@ class Forecast:
         return sum(self.rollouts.values())
 
     @classmethod
-    def of(cls, rollouts: Mapping[str, int], message: wire.ForecastResponse) -> Forecast:
-        """Converts a coordinator's message."""
-        values = frames.fields(
-            message,
-            [item.name for item in fields(cls)],
-            rollouts=dict(rollouts),
-            unmeasured_suites=tuple(message.unmeasured_suites),
-            useful_slots=message.useful_slots if message.HasField("useful_slots") else None,
-        )
-        return cls(**values)
+    def of(cls, rollouts: Mapping[str, int], answer: Mapping[str, Any]) -> Forecast:
+        """Converts a coordinator's answer."""
+        suites = tuple(answer["unmeasured_suites"])
+        return cls(rollouts=dict(rollouts), **{**answer, "unmeasured_suites": suites})

@@ -6,8 +6,9 @@ use std::collections::BTreeMap;
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
 use libero_ctrl::{Condition, RolloutId};
-use proto::coordinator::{ForecastRequest, ForecastResponse, SuiteRollouts};
+use proto::coordinator::{ForecastRequest, SuiteRollouts};
 use queue::expand::{NewCampaign, NewJob};
+use queue::read::Forecast;
 use serde::Serialize;
 use terminal::{counted, wrapped};
 
@@ -17,10 +18,7 @@ use super::planning::Planned;
 
 /// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
 /// forecast, since the other parts of a dry run need no coordinator.
-pub(super) async fn request(
-    client: &Client,
-    campaign: &NewCampaign,
-) -> Result<ForecastResponse, String> {
+pub(super) async fn request(client: &Client, campaign: &NewCampaign) -> Result<Forecast, String> {
     let mut rollouts: BTreeMap<&str, u64> = BTreeMap::new();
     for job in &campaign.jobs {
         let suite = job.task.split('/').next().unwrap_or_default();
@@ -34,14 +32,14 @@ pub(super) async fn request_for_suites(
     client: &Client,
     policy: &str,
     rollouts: impl IntoIterator<Item = (&str, u64)>,
-) -> Result<ForecastResponse, String> {
+) -> Result<Forecast, String> {
     let to_message =
         |(suite, rollouts): (&str, u64)| SuiteRollouts { suite: suite.to_owned(), rollouts };
     let request = ForecastRequest {
         policy: policy.to_owned(),
         rollouts: rollouts.into_iter().map(to_message).collect(),
     };
-    let answer = client.call(request, Service::forecast).await;
+    let answer = client.ask(request, Service::forecast).await;
     answer.map_err(|error| format!("failed to {error}"))
 }
 
@@ -72,7 +70,7 @@ fn paper_hours(campaign: &NewCampaign) -> impl Iterator<Item = (&'static str, f6
 }
 
 /// Describes a forecast, or the error that prevented it, for a terminal.
-pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
+pub(super) fn describe(answer: &Result<Forecast, String>, policy: &str) -> String {
     let forecast = match answer {
         Ok(forecast) => forecast,
         Err(problem) => return format!("no forecast of its duration: {problem}"),
@@ -120,7 +118,7 @@ pub(super) fn describe_paper(campaign: &NewCampaign) -> String {
 /// Prints a dry run as JSON: the campaign, its forecast and its planning.
 pub(super) fn print(
     campaign: &NewCampaign,
-    answer: Result<ForecastResponse, String>,
+    answer: Result<Forecast, String>,
     planning: &[Planned],
 ) -> Result<(), CommandError> {
     json::print(&DryRun::new(campaign, answer, planning))
@@ -140,27 +138,15 @@ struct DryRun<'a> {
     paper_hours: BTreeMap<&'static str, f64>,
 }
 
-json::forms! {
-    Forecast from forecast: ForecastResponse {
-        workers: u64 = forecast.workers,
-        slots: u64 = forecast.slots,
-        secs: Option<f64> = forecast.secs,
-        results: u64 = forecast.results,
-        is_of_policy: bool = forecast.is_of_policy,
-        unmeasured_suites: Vec<String> = forecast.unmeasured_suites.clone(),
-        useful_slots: Option<u64> = forecast.useful_slots,
-    }
-}
-
 impl<'a> DryRun<'a> {
     /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
     fn new(
         campaign: &'a NewCampaign,
-        answer: Result<ForecastResponse, String>,
+        answer: Result<Forecast, String>,
         planning: &'a [Planned],
     ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
-            Ok(forecast) => (Some(Forecast::from_message(&forecast)), None),
+            Ok(forecast) => (Some(forecast), None),
             Err(problem) => (None, Some(problem)),
         };
         DryRun {

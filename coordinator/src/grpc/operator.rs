@@ -6,8 +6,8 @@ use proto::coordinator::operator_service_server::OperatorService;
 use proto::coordinator::{
     self as wire, AlterCampaignRequest, AppendRowsRequest, ArchiveCampaignRequest, BackupRequest,
     ChangeCampaignRequest, CreateCampaignRequest, DeleteCampaignRequest, ExportRequest,
-    ForecastRequest, ForecastResponse, GetCampaignRequest, GetJobRequest, ListCampaignsRequest,
-    ListJobsRequest, ListWorkersRequest, ReportRequest, RetryJobsRequest, SkipJobsRequest,
+    ForecastRequest, GetCampaignRequest, GetJobRequest, ListCampaignsRequest, ListJobsRequest,
+    ListWorkersRequest, ReportRequest, RetryJobsRequest, SkipJobsRequest,
 };
 use queue::Queue;
 use queue::clock::UnixMillis;
@@ -248,20 +248,12 @@ impl OperatorService for OperatorApi {
         answer(view.now, &(status, taken_back))
     }
 
-    async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<ForecastResponse> {
+    async fn forecast(&self, request: Request<ForecastRequest>) -> Answer<wire::Answer> {
         let request = request.into_inner();
         let rollouts = read::rollouts_by_suite(request.rollouts)?;
         let mut view = self.view().await?;
         let forecast = view.forecast(&request.policy, &rollouts).await.map_err(failed)?;
-        Ok(Response::new(ForecastResponse {
-            workers: forecast.workers,
-            slots: forecast.slots,
-            secs: forecast.secs,
-            results: forecast.results,
-            is_of_policy: forecast.is_of_policy,
-            unmeasured_suites: forecast.unmeasured_suites,
-            useful_slots: forecast.useful_slots,
-        }))
+        answer(view.now, &forecast)
     }
 }
 

@@ -604,21 +604,3 @@ class SuiteRollouts(_message.Message):
     suite: str
     rollouts: int
     def __init__(self, suite: _Optional[str] = ..., rollouts: _Optional[int] = ...) -> None: ...
-
-class ForecastResponse(_message.Message):
-    __slots__ = ("workers", "slots", "secs", "results", "is_of_policy", "unmeasured_suites", "useful_slots")
-    WORKERS_FIELD_NUMBER: _ClassVar[int]
-    SLOTS_FIELD_NUMBER: _ClassVar[int]
-    SECS_FIELD_NUMBER: _ClassVar[int]
-    RESULTS_FIELD_NUMBER: _ClassVar[int]
-    IS_OF_POLICY_FIELD_NUMBER: _ClassVar[int]
-    UNMEASURED_SUITES_FIELD_NUMBER: _ClassVar[int]
-    USEFUL_SLOTS_FIELD_NUMBER: _ClassVar[int]
-    workers: int
-    slots: int
-    secs: float
-    results: int
-    is_of_policy: bool
-    unmeasured_suites: _containers.RepeatedScalarFieldContainer[str]
-    useful_slots: int
-    def __init__(self, workers: _Optional[int] = ..., slots: _Optional[int] = ..., secs: _Optional[float] = ..., results: _Optional[int] = ..., is_of_policy: bool = ..., unmeasured_suites: _Optional[_Iterable[str]] = ..., useful_slots: _Optional[int] = ...) -> None: ...

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use rollout_types::Pin;
+use serde::{Deserialize, Serialize};
 
 use super::View;
 use crate::store::workers::pin;
@@ -15,8 +16,8 @@ const RECENT: Duration = Duration::from_secs(7 * 24 * 3_600);
 /// Most results of one campaign that a forecast uses.
 const RECENT_RESULTS: u32 = 200;
 
-/// Forecast of the duration of rollouts.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// Forecast of the duration of rollouts, as operators get it; docs/JSON.md describes the keys.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Forecast {
     /// Number of live workers with one pin, since a campaign runs on workers of a single pin; of
     /// several pins, the one with the most slots.
