@@ -62,7 +62,7 @@ impl Probe {
             .tcp_nodelay(true)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
-        let peer = Peer::new(endpoint.clone(), &target.access, ServerKind::Policy, SETTINGS);
+        let peer = Peer::new(&endpoint, ServerKind::Policy, SETTINGS);
         let connection = target.access.connect_lazy(endpoint)?;
         let mut client = PolicyClient::new(connection.clone())
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
@@ -72,7 +72,7 @@ impl Probe {
             Ok(response) => response.into_inner(),
             Err(status) => {
                 let url = target.shown.clone();
-                return Err(match peer.diagnose(&status).await {
+                return Err(match peer.diagnose(&status) {
                     Some(trouble) => ConformanceError::Connect { url, trouble: trouble.into() },
                     None => ConformanceError::Describe { url, status: status.into() },
                 });
