@@ -21,10 +21,8 @@ use tonic_health::pb::{
 };
 use transport::{Connection, Peer, ServerKind, Settings, parse_endpoint};
 
-use super::{
-    ConformanceError, QUERIES, Target, scene,
-    verdict::{self, Verdict},
-};
+use super::{ConformanceError, QUERIES, Target, scene, verdict::refused};
+use crate::verdict::{Verdict, fail, pass};
 
 const SETTINGS: Settings =
     Settings { address: "the URL", authority: "--ca", clear: "grpc://", encrypted: "https://" };
@@ -88,9 +86,9 @@ impl Probe {
     pub(super) async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
         match self.client.clone().describe(describe(&self.target, newer)).await {
-            Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
-            Err(status) => verdict::refused(&status),
-            Ok(_) => verdict::fail(format!("it accepts a caller of protocol version {newer}")),
+            Err(status) if status.code() == Code::FailedPrecondition => pass(""),
+            Err(status) => refused(&status),
+            Ok(_) => fail(format!("it accepts a caller of protocol version {newer}")),
         }
     }
 
@@ -100,8 +98,8 @@ impl Probe {
         let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
         let answer = HealthClient::new(self.connection.clone()).check(request).await?.into_inner();
         Ok(match answer.status() {
-            ServingStatus::Serving => verdict::pass(""),
-            other => verdict::fail(format!("it reports {}", other.as_str_name())),
+            ServingStatus::Serving => pass(""),
+            other => fail(format!("it reports {}", other.as_str_name())),
         })
     }
 
@@ -198,8 +196,8 @@ impl Probe {
 
     pub(super) async fn unopened(&self) -> Verdict {
         match self.infer("never opened", 0).await {
-            Err(_) => verdict::pass(""),
-            Ok(_) => verdict::fail("it answers without instruction and seed"),
+            Err(_) => pass(""),
+            Ok(_) => fail("it answers without instruction and seed"),
         }
     }
 
