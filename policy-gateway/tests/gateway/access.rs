@@ -78,7 +78,7 @@ async fn send_query_over(
         server.port
     );
     std::fs::write(file.path(), text).expect("written");
-    let config = config::file::read(file.path()).expect("a configuration");
+    let config = config::read(file.path()).expect("a configuration");
     let (gateway, _) = reloadable(config.routes().to_vec()).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await?;
