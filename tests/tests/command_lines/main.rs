@@ -6,8 +6,6 @@
 #[path = "../../../coordinator/tests/it/authority.rs"]
 mod authority;
 mod errors;
-mod grpc;
-mod servers;
 mod wrong_servers;
 
 use std::io::{BufRead, BufReader, Read};
