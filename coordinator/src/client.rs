@@ -62,7 +62,7 @@ impl Client {
     pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
         let endpoint = parse_endpoint(url)?;
         let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
-        let peer = Peer::new(endpoint.clone(), access, ServerKind::Coordinator, SETTINGS);
+        let peer = Peer::new(&endpoint, ServerKind::Coordinator, SETTINGS);
         let connection = access.connect_lazy(endpoint)?;
         Ok(Client {
             url: url.to_owned(),
@@ -135,7 +135,7 @@ impl Client {
     pub async fn next<T>(&self, answer: &mut Streaming<T>) -> Result<Option<T>, ClientError> {
         match answer.message().await {
             Ok(next) => Ok(next),
-            Err(status) => Err(self.call_error(&status, self.peer.diagnose(&status).await)),
+            Err(status) => Err(self.call_error(&status, self.peer.diagnose(&status))),
         }
     }
 
@@ -154,9 +154,9 @@ impl Client {
                 Ok(response) => return Ok(response.into_inner()),
                 Err(status) => status,
             };
-            let trouble = self.peer.diagnose(&status).await;
+            let trouble = self.peer.diagnose(&status);
             let is_transient = match &trouble {
-                Some(trouble) => !trouble.found.is_final(),
+                Some(trouble) => !trouble.fault.is_final(),
                 None => status.code() == Code::Unavailable,
             };
             if !is_transient || Instant::now() + pause > deadline {
@@ -165,7 +165,7 @@ impl Client {
             if !is_reported {
                 is_reported = true;
                 let reason = match &trouble {
-                    Some(trouble) => trouble.finding().to_string(),
+                    Some(trouble) => trouble.finding.clone(),
                     None => status_text(&status),
                 };
                 terminal::complain(&format!(

@@ -156,8 +156,7 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
 
 /// Returns 16 hex digits of a SHA-256, enough to distinguish the rollouts of a campaign.
 fn digest(texts: &[&str]) -> String {
-    let digest = Sha256::digest(texts.concat());
-    digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(&Sha256::digest(texts.concat())[..8])
 }
 
 fn read_record(row: &RecordRow, realisation: &str) -> Result<Record, UnknownName> {

@@ -1,18 +1,127 @@
 //! A gateway's configuration, which consists of routes. An invalid configuration is refused before
-//! any back-end is created; [`mod@file`] reads a configuration from TOML.
+//! any back-end is created. A configuration file:
+//!
+//! ```toml
+//! [policy.pi05]
+//! replicas = ["grpc://gpu1:5000", "grpc://gpu2:5000"]
+//!
+//! [policy.openvla-oft]
+//! batching = "deterministic"
+//! answer_within_secs = 20
+//!
+//! [policy.openvla-oft.suites]
+//! libero_goal = ["grpc://gpu3:5001"]
+//! libero_spatial = ["grpc://gpu3:5002"]
+//!
+//! [policy.hosted]
+//! replicas = ["https://gpu4:5000"]
+//! ca = "gpu4-ca.pem"
+//! token_file = "gpu4-token"
+//! ```
 
-use std::{collections::BTreeMap, path::PathBuf, str::FromStr, time::Duration};
+use std::{
+    collections::BTreeMap,
+    fmt,
+    path::{Path, PathBuf},
+    str::FromStr,
+    time::Duration,
+};
 
-use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN, recorder::RecordInto};
+use libero_ctrl::plain_words;
+use policy_backends::{
+    BackendSpec, DEFAULT_ANSWER_WITHIN, recorder::RecordInto, spec::BackendSpecError,
+};
 use serde::Deserialize;
+use thiserror::Error;
 use transport::{Access, AccessError, Role};
 
-mod error;
-pub mod file;
-mod name;
+/// Largest number of replicas of one checkpoint.
+pub const MAX_REPLICAS: usize = 64;
+/// Longest route name, bytes.
+pub const MAX_ROUTE_NAME_BYTES: usize = 64;
+/// Longest `answer_within_secs`.
+const MAX_ANSWER_WITHIN_SECS: f64 = 3600.0;
 
-pub use error::{ConfigError, MAX_REPLICAS};
-pub use name::{MAX_ROUTE_NAME_BYTES, RouteName, RouteNameError};
+/// Reason why a configuration is invalid. The message follows "failed to …".
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    #[error("find a route: give at least one --route NAME=BACKEND, or a [policy.NAME] in --config")]
+    NoRoute,
+    #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
+    Unreadable { path: PathBuf, source: std::io::Error },
+    #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
+    Toml {
+        path: PathBuf,
+        /// Number of the line, from 1.
+        line: usize,
+        problem: String,
+    },
+    #[error("use {path:?}")]
+    InFile { path: PathBuf, source: Box<ConfigError> },
+    #[error(
+        "find a server for policy {name}: give `replicas`, or a `suites` table, with at least one \
+         server each"
+    )]
+    NoReplica { name: RouteName },
+    #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
+    ReplicasAndSuites { name: RouteName },
+    #[error(
+        "take more than {MAX_REPLICAS} replicas of one checkpoint of policy {name}: serve the \
+         others under another policy's name"
+    )]
+    TooManyReplicas { name: RouteName },
+    #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
+    DuplicateReplica { name: RouteName, replica: String },
+    #[error("use answer_within_secs = {secs} of policy {name}: take a positive number up to 3600")]
+    AnswerWithin { name: RouteName, secs: f64 },
+    #[error("read route {text:?}: write NAME=BACKEND, for example expert=builtin:expert")]
+    Form { text: String },
+    #[error(
+        "use {name:?} as a route's name: take 1 to {MAX_ROUTE_NAME_BYTES} letters, digits, '.', \
+         '_' and '-'"
+    )]
+    Name { name: String },
+    #[error("tell two routes named {name} apart: give each its own name")]
+    DuplicateRoute { name: RouteName },
+    /// The text does not specify a back-end.
+    #[error(transparent)]
+    Backend(#[from] BackendSpecError),
+    #[error(
+        "trust {replica} of policy {name}: give the certificate authority that signed its \
+         certificate, as `ca = \"FILE\"` in --config"
+    )]
+    NoAuthority { name: RouteName, replica: String },
+}
+
+/// Name of a route: letters, digits, `.`, `_` and `-`.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RouteName(String);
+
+impl RouteName {
+    /// Returns the name as written.
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl FromStr for RouteName {
+    type Err = ConfigError;
+
+    fn from_str(text: &str) -> Result<Self, ConfigError> {
+        let allowed = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+        if (1..=MAX_ROUTE_NAME_BYTES).contains(&text.len()) && text.bytes().all(allowed) {
+            Ok(Self(text.to_owned()))
+        } else {
+            Err(ConfigError::Name { name: text.to_owned() })
+        }
+    }
+}
+
+impl fmt::Display for RouteName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
 
 /// Routes of a gateway: at least one route; the names are distinct.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -111,11 +220,11 @@ impl Batching {
 }
 
 impl RouteSpec {
-    /// Creates a route with one server and default settings.
-    pub fn new(name: RouteName, backend: BackendSpec) -> Self {
+    /// Creates a route of one checkpoint with default settings.
+    pub fn new(name: RouteName, replicas: Vec<BackendSpec>) -> Self {
         Self {
             name,
-            checkpoints: CheckpointSpecs::One(vec![backend]),
+            checkpoints: CheckpointSpecs::One(replicas),
             batching: Batching::default(),
             answer_within: DEFAULT_ANSWER_WITHIN,
             access: AccessFiles::default(),
@@ -161,21 +270,84 @@ impl FromStr for RouteSpec {
     fn from_str(text: &str) -> Result<Self, ConfigError> {
         let (name, replicas) =
             text.split_once('=').ok_or_else(|| ConfigError::Form { text: text.to_owned() })?;
-        let name = name.parse()?;
-        let replicas = replicas.split(',').map(str::parse);
-        Ok(Self {
-            name,
-            checkpoints: CheckpointSpecs::One(replicas.collect::<Result<_, _>>()?),
-            batching: Batching::default(),
-            answer_within: DEFAULT_ANSWER_WITHIN,
-            access: AccessFiles::default(),
-            record: None,
-        })
+        let replicas: Vec<&str> = replicas.split(',').collect();
+        Ok(Self::new(name.parse()?, backends(&replicas)?))
     }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Document {
+    #[serde(default)]
+    policy: BTreeMap<String, Table>,
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Table {
+    #[serde(default)]
+    replicas: Vec<String>,
+    #[serde(default)]
+    suites: BTreeMap<String, Vec<String>>,
+    #[serde(default)]
+    batching: Batching,
+    answer_within_secs: Option<f64>,
+    ca: Option<PathBuf>,
+    token_file: Option<PathBuf>,
+}
+
+/// Reads a configuration from a file.
+pub fn read(path: &Path) -> Result<Config, ConfigError> {
+    let text = std::fs::read_to_string(path)
+        .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;
+    let document = toml::from_str::<Document>(&text).map_err(|error| ConfigError::Toml {
+        path: path.to_owned(),
+        line: line_of(&text, error.span().map_or(0, |span| span.start)),
+        problem: plain_words(error.message()),
+    })?;
+    let routes = document.policy.into_iter().map(|(name, table)| route(&name, table));
+    routes
+        .collect::<Result<_, _>>()
+        .and_then(Config::new)
+        .map_err(|source| ConfigError::InFile { path: path.to_owned(), source: source.into() })
+}
+
+/// Returns the line number of a byte, from 1.
+fn line_of(text: &str, byte: usize) -> usize {
+    let before = text.bytes().take(byte);
+    1 + before.filter(|byte| *byte == b'\n').count()
+}
+
+fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
+    let name: RouteName = name.parse()?;
+    let secs = table.answer_within_secs;
+    let answer_within = match secs {
+        None => DEFAULT_ANSWER_WITHIN,
+        Some(secs) if secs > 0.0 && secs <= MAX_ANSWER_WITHIN_SECS => Duration::from_secs_f64(secs),
+        Some(secs) => return Err(ConfigError::AnswerWithin { name, secs }),
+    };
+    let checkpoints = match (table.replicas.is_empty(), table.suites.is_empty()) {
+        (false, false) => return Err(ConfigError::ReplicasAndSuites { name }),
+        (_, true) => CheckpointSpecs::One(backends(&table.replicas)?),
+        (true, false) => {
+            let suites = table.suites.into_iter();
+            let suites = suites.map(|(suite, replicas)| Ok((suite, backends(&replicas)?)));
+            CheckpointSpecs::PerSuite(suites.collect::<Result<_, ConfigError>>()?)
+        }
+    };
+    let access = AccessFiles { ca: table.ca, token_file: table.token_file };
+    let batching = table.batching;
+    Ok(RouteSpec { checkpoints, batching, answer_within, access, ..RouteSpec::new(name, vec![]) })
+}
+
+fn backends(texts: &[impl AsRef<str>]) -> Result<Vec<BackendSpec>, BackendSpecError> {
+    texts.iter().map(|text| text.as_ref().parse()).collect()
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use super::*;
 
     fn check(route: &str, expected: &str) {
@@ -210,5 +382,66 @@ mod tests {
         assert!(error.to_string().contains("grpc://h:1 is given twice"));
         let two = vec![route("x=builtin:noop"), route("y=grpc://h:1")];
         assert_eq!(Config::new(two.clone()).expect("two routes").routes(), two);
+    }
+
+    fn read_text(text: &str) -> Result<Config, ConfigError> {
+        let mut file = tempfile::NamedTempFile::new().expect("a file");
+        file.write_all(text.as_bytes()).expect("written");
+        read(file.path())
+    }
+
+    fn check_file(text: &str, expected: &str) {
+        let error = read_text(text).expect_err(text);
+        let message = format!("{:#}", anyhow::Error::from(error));
+        assert!(message.contains(expected), "{text}: {message}");
+    }
+
+    #[test]
+    fn policies_with_replicas_and_checkpoints_per_suite_are_read() {
+        let config = read_text(
+            r#"
+            [policy.pi05]
+            replicas = ["grpc://a:1", "grpc://b:1/pi05"]
+
+            [policy.oft]
+            batching = "deterministic"
+            answer_within_secs = 0.5
+            [policy.oft.suites]
+            libero_goal = ["grpc://a:2"]
+            "#,
+        )
+        .expect("a configuration");
+        let [oft, pi05] = config.routes() else {
+            panic!("two routes, by name: {config:?}");
+        };
+        assert_eq!(oft.batching, Batching::Deterministic);
+        assert_eq!(oft.answer_within, Duration::from_millis(500));
+        let goal = vec!["grpc://a:2".parse().expect("a back-end")];
+        let suites = BTreeMap::from([("libero_goal".to_owned(), goal)]);
+        assert_eq!(oft.checkpoints, CheckpointSpecs::PerSuite(suites));
+        assert_eq!(pi05.answer_within, DEFAULT_ANSWER_WITHIN);
+        assert!(matches!(&pi05.checkpoints, CheckpointSpecs::One(two) if two.len() == 2));
+    }
+
+    #[test]
+    fn an_invalid_file_is_refused_with_the_faulty_line() {
+        check_file("", "find a route");
+        check_file("[policy.x]", "find a server for policy x");
+        check_file("[policy.x]\nreplicas = [\"ftp://a:1\"]", "ftp://a:1");
+        check_file("[policy.x]\nreplicas = [\"wss://a:1\"]", "`ca =");
+        let unknown = "line 2 of";
+        check_file("[policy.x]\nreplica = []", unknown);
+        check_file("[policy.x]\nreplica = []", "there is no field `replica`");
+        check_file("[policy.x]\nbatching = \"big\"", "write one of `dynamic`");
+        check_file("[policy.\"a b\"]", "letters, digits");
+        check_file(
+            "[policy.x]\nreplicas = [\"grpc://a:1\"]\nanswer_within_secs = 0",
+            "answer_within_secs = 0",
+        );
+        check_file(
+            "[policy.x]\nreplicas = [\"grpc://a:1\"]\n[policy.x.suites]\ng = [\"grpc://a:2\"]",
+            "`replicas` and `suites`",
+        );
+        check_file("[policy.x.suites]\ng = []", "find a server for policy x");
     }
 }

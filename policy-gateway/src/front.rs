@@ -23,10 +23,7 @@ impl Front {
     /// Starts a gateway in front of the server at `url`.
     pub async fn start(url: &str, access: AccessFiles) -> Result<Self, FrontError> {
         let backend = url.parse().map_err(ConfigError::from)?;
-        let route = RouteSpec {
-            access,
-            ..RouteSpec::new("policy".parse().map_err(ConfigError::from)?, backend)
-        };
+        let route = RouteSpec { access, ..RouteSpec::new("policy".parse()?, vec![backend]) };
         let gateway = Gateway::new(&Config::new(vec![route])?)?;
         let listener = TcpListener::bind(SocketAddr::from(([127, 0, 0, 1], 0))).await?;
         let address = listener.local_addr()?;

@@ -193,10 +193,10 @@ fn main() -> ExitCode {
         Some(Command::Doctor(doctor)) => exit_code_of(doctor.run(&|line| print_line(&line))),
         Some(Command::Record { upstream, output, policy, max_mib, listen }) => {
             let into = RecordInto { max_bytes: max_mib << 20, folder: output };
-            record(RouteSpec::new(policy, upstream), into, &listen)
+            record(RouteSpec::new(policy, vec![upstream]), into, &listen)
         }
         Some(Command::Replay { folder, policy, listen }) => {
-            let route = RouteSpec::new(policy, BackendSpec::Replay(folder));
+            let route = RouteSpec::new(policy, vec![BackendSpec::Replay(folder)]);
             serve_routes(vec![route], &listen)
         }
         Some(Command::Completions { shell }) => print_completions(shell),
@@ -205,7 +205,7 @@ fn main() -> ExitCode {
             let Serve { routes, config: file, listen } = arguments.serve;
             match file {
                 None => serve_routes(routes, &listen),
-                Some(file) => config::file::read(&file)
+                Some(file) => config::read(&file)
                     .map_err(anyhow::Error::from)
                     .and_then(|config| listen.serve(&config, Some(file))),
             }
@@ -392,7 +392,7 @@ async fn serve(
 /// Reloads the configuration at every SIGHUP. An invalid configuration is logged and ignored.
 async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
     let read_again = |file: &Path| -> anyhow::Result<usize> {
-        let config = config::file::read(file)?;
+        let config = config::read(file)?;
         gateway.reload(&config)?;
         Ok(config.routes().len())
     };

@@ -158,7 +158,7 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
                         look,
                         rollout: row.id.to_string(),
                         camera: camera.to_owned(),
-                        sha256: digest.iter().map(|byte| format!("{byte:02x}")).collect(),
+                        sha256: hex::encode(digest),
                     };
                     found.push_str(&serde_json::to_string(&frame).unwrap());
                     found.push('\n');

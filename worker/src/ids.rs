@@ -3,7 +3,6 @@
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
 
-use assets::hex;
 use rollout_types::AttemptId;
 use sha2::{Digest, Sha256};
 
@@ -61,7 +60,7 @@ pub fn machine() -> String {
     match boot.trim() {
         "" => String::new(),
         // The digest keeps the boot id itself private.
-        boot => hex(&Sha256::digest(format!("rollout machine {boot}")))[..32].to_owned(),
+        boot => hex::encode(Sha256::digest(format!("rollout machine {boot}")))[..32].to_owned(),
     }
 }
 

@@ -63,7 +63,7 @@ impl PolicyClient {
     pub fn new(endpoint: &str, access: &Access, settings: Settings) -> Result<Self, PolicyError> {
         let address = parse_endpoint(endpoint).map_err(PolicyError::Endpoint)?;
         let address = with_settings(address);
-        let peer = Peer::new(address.clone(), access, ServerKind::Policy, settings);
+        let peer = Peer::new(&address, ServerKind::Policy, settings);
         let runtime = tokio::runtime::Builder::new_multi_thread()
             .worker_threads(1)
             .enable_all()
@@ -111,7 +111,7 @@ impl PolicyClient {
 
     /// Describes a failed call: by the policy's own error, or by a diagnosis of the connection.
     fn explain(&self, status: &Status) -> String {
-        let diagnosis = self.runtime.block_on(self.peer.diagnose(status));
+        let diagnosis = self.peer.diagnose(status);
         diagnosis.map_or_else(|| status_text(status), |diagnosis| diagnosis.to_string())
     }
 }

@@ -9,7 +9,6 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use assets::hex;
 use libero_ctrl::{Condition, Execution, Query, Schedule};
 use proto::policy as wire;
 use rollout_types::{EXECUTION, GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
@@ -424,5 +423,5 @@ fn frames_digest(observation: &Observation) -> String {
     for frame in &observation.frames {
         hash.update(&frame.rgb);
     }
-    hex(&hash.finalize())
+    hex::encode(hash.finalize())
 }

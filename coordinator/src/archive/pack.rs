@@ -176,8 +176,7 @@ impl<R: Read> Digesting<R> {
 
     /// Returns the number of bytes read and their SHA-256, hex.
     fn finish(self) -> (u64, String) {
-        let digest = self.digest.finalize();
-        let hex = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        let hex = hex::encode(self.digest.finalize());
         (self.bytes, hex)
     }
 }

@@ -122,7 +122,7 @@ fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
 async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<usize, Problem> {
     let endpoint = parse_endpoint(&spec.policy.endpoint);
     let endpoint = endpoint.map_err(|error| Problem::NoAnswer(error.to_string()))?;
-    let peer = Peer::new(endpoint.clone(), access, ServerKind::Policy, SETTINGS);
+    let peer = Peer::new(&endpoint, ServerKind::Policy, SETTINGS);
     let connection = access.connect_lazy(endpoint);
     let connection = connection.map_err(|error| Problem::NoAnswer(transport::chain(&error)))?;
     let request = DescribeRequest {
@@ -136,7 +136,7 @@ async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<us
         Err(status) if status.code() == Code::NotFound => {
             Err(Problem::Refused(transport::status_text(&status)))
         }
-        Err(status) => Err(Problem::NoAnswer(match peer.diagnose(&status).await {
+        Err(status) => Err(Problem::NoAnswer(match peer.diagnose(&status) {
             Some(trouble) => trouble.to_string(),
             None => transport::status_text(&status),
         })),

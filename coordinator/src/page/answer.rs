@@ -86,8 +86,7 @@ fn static_file(media_type: &'static str, text: String) -> Response {
 
 /// Returns the first 16 hex digits of a text's SHA-256.
 fn short_digest(text: &str) -> String {
-    let digest = Sha256::digest(text);
-    digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(&Sha256::digest(text)[..8])
 }
 
 #[cfg(test)]

@@ -591,5 +591,5 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
 /// Returns the SHA-256 of a text, in place of a real digest.
 pub(crate) fn sha(text: &str) -> String {
     use sha2::{Digest, Sha256};
-    Sha256::digest(text.as_bytes()).iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(Sha256::digest(text.as_bytes()))
 }

@@ -155,8 +155,7 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], recompute_conten
     if recompute_contents {
         let mut list: Value = serde_json::from_slice(&members[0].1).expect("a list");
         let named = |(name, bytes): &(String, Vec<u8>)| {
-            let digest = Sha256::digest(bytes);
-            let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+            let digest = hex::encode(Sha256::digest(bytes));
             json!({"name": name, "bytes": bytes.len(), "sha256": digest})
         };
         list["members"] = members[1..].iter().map(named).collect();

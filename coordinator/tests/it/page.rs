@@ -390,7 +390,7 @@ async fn pages_need_a_login_and_refuse_worker_tokens() {
     assert!(cookie.contains("HttpOnly; SameSite=Strict"), "{cookie}");
     assert!(cookie.contains("Max-Age=43200"), "{cookie}");
     let cookie = cookie.split(';').next().expect("a pair");
-    let hex: String = VIEWER.bytes().map(|byte| format!("{byte:02x}")).collect();
+    let hex = hex::encode(VIEWER);
     assert!(!cookie.contains(VIEWER) && !cookie.contains(&hex), "{cookie}");
     let page = http(url, &format!("GET /workers\ncookie: {cookie}")).await;
     assert!(page.code == 200 && page.text().contains("Log out"), "{}", page.text());

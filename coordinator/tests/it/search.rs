@@ -83,8 +83,7 @@ pub(crate) fn assert_rows(serve: &Serve, name: &str, expected: (usize, &str)) {
         |row: Value| format!("{}#{}", row["rollout_id"].as_str().expect("an id"), row["replicate"]);
     let mut rows: Vec<String> = rows.map(id).collect();
     rows.sort();
-    let digest = Sha256::digest(rows.join("\n"));
-    let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = hex::encode(&Sha256::digest(rows.join("\n"))[..8]);
     assert_eq!((rows.len(), digest.as_str()), expected, "{name}");
 }
 

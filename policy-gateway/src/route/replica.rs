@@ -331,7 +331,7 @@ impl Replica {
             Err(error) if is_no_evidence(error) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
                 let problem = trouble.to_string();
-                self.record_outage(match trouble.found.is_final() {
+                self.record_outage(match trouble.fault.is_final() {
                     true => Cause::Misconfigured(problem),
                     false => Cause::Unreachable(problem),
                 });

@@ -54,7 +54,7 @@ async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
 
 async fn replay(folder: &Path) -> Running {
     let name = "x".parse().expect("a name");
-    let route = RouteSpec::new(name, BackendSpec::Replay(folder.to_owned()));
+    let route = RouteSpec::new(name, vec![BackendSpec::Replay(folder.to_owned())]);
     reloadable(vec![route]).await.0
 }
 

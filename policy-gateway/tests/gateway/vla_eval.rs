@@ -318,7 +318,7 @@ async fn a_token_is_sent_to_a_proxy_in_front_of_the_server() {
         server.port
     );
     std::fs::write(&file, text).expect("written");
-    let config = config::file::read(&file).expect("a configuration");
+    let config = config::read(&file).expect("a configuration");
     let (gateway, _) = reloadable(config.routes().to_vec()).await;
     let mut client = gateway.client().await;
     client.describe(describe("x")).await.expect("a description");

@@ -202,8 +202,7 @@ fn realised(assignment: &Assignment) -> Realised {
 }
 
 fn digest(text: &str) -> String {
-    let digest = Sha256::digest(text);
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(Sha256::digest(text))
 }
 
 fn send(parent: &Parent, event: &SlotEvent) {

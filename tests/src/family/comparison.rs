@@ -311,8 +311,7 @@ impl Prompts {
 }
 
 fn digest(text: &str) -> String {
-    let digest = Sha256::digest(text.as_bytes());
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(Sha256::digest(text.as_bytes()))
 }
 
 fn camera(environment: &Environment) -> Result<Vec<f64>> {

@@ -3,9 +3,9 @@
 //! `INSTA_UPDATE=always INSTA_FORCE_PASS=1 cargo nextest run -p tests --test command_lines` writes
 //! them again, for the reviewer to read as a diff.
 
+#[path = "../../../coordinator/tests/it/authority.rs"]
+mod authority;
 mod errors;
-mod grpc;
-mod servers;
 mod wrong_servers;
 
 use std::io::{BufRead, BufReader, Read};

@@ -6,7 +6,6 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use assets::hex;
 use policy_protocol::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
@@ -60,7 +59,7 @@ impl RecordedActions {
         for number in self.actions.as_flattened() {
             hash.update(number.to_le_bytes());
         }
-        hex(&hash.finalize())
+        hex::encode(hash.finalize())
     }
 }
 

@@ -79,7 +79,7 @@ impl Link {
         draining: watch::Receiver<bool>,
     ) -> Result<Self, SuperviseError> {
         let endpoint = parse_endpoint(url)?.connect_timeout(CALL_DEADLINE).tcp_nodelay(true);
-        let peer = Peer::new(endpoint.clone(), access, ServerKind::Coordinator, SETTINGS);
+        let peer = Peer::new(&endpoint, ServerKind::Coordinator, SETTINGS);
         let connection = access.connect_lazy(endpoint)?;
         Ok(Self {
             grpc: WorkerServiceClient::new(connection),
@@ -193,7 +193,7 @@ impl Link {
                 Err(status) if may_succeed_later(&status) && backoff.failures() < UPLOAD_TRIES => {
                     tokio::time::sleep(wait).await;
                 }
-                Err(status) => return Err(self.explain(status).await.status),
+                Err(status) => return Err(self.explain(status).status),
                 Ok(stored) => return Ok(stored),
             }
         }
@@ -233,7 +233,7 @@ impl Link {
                 let is_transient = may_succeed_later(&status);
                 Err(Failed { status, is_transient })
             }
-            Err(status) => Err(self.explain(status).await),
+            Err(status) => Err(self.explain(status)),
         };
         self.log_outage(&answer);
         answer
@@ -241,13 +241,13 @@ impl Link {
 
     /// Explains a failure by a diagnosis of the peer. Until a call has succeeded, a mistake in the
     /// settings is not transient.
-    async fn explain(&self, status: Status) -> Failed {
+    fn explain(&self, status: Status) -> Failed {
         let is_transient = may_succeed_later(&status);
-        match self.state.peer.diagnose(&status).await {
+        match self.state.peer.diagnose(&status) {
             None => Failed { status, is_transient },
             Some(diagnosis) => Failed {
                 status: Status::new(status.code(), diagnosis.to_string()),
-                is_transient: is_transient && (self.has_answered() || !diagnosis.found.is_final()),
+                is_transient: is_transient && (self.has_answered() || !diagnosis.fault.is_final()),
             },
         }
     }

@@ -5,7 +5,7 @@ use std::fmt::Write;
 use std::path::Path;
 use std::{fmt, fs};
 
-use assets::{Table, hex};
+use assets::Table;
 use libero_ctrl::presets::ENV_SEED;
 use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::plus::{Assets, Entry};
@@ -304,5 +304,5 @@ fn digest(paths: [&Path; 2]) -> Result<String, String> {
         }
         digest.update(fs::read(path).map_err(|error| problem(&error))?);
     }
-    Ok(hex(&digest.finalize()))
+    Ok(hex::encode(digest.finalize()))
 }

@@ -149,11 +149,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
     let name = name.unwrap_or_else(|| ".".to_owned());
     Ok(Subject {
         policy: about.policy.or(reading.policy).unwrap_or_else(|| name.clone()),
-        origin: Origin::File {
-            name,
-            digest: digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect(),
-            source: about.source,
-        },
+        origin: Origin::File { name, digest: hex::encode(digest.finalize()), source: about.source },
         realisation: about.realisation,
         look: about.look,
         execution: reading.execution.unwrap_or_default(),

@@ -3,7 +3,6 @@
 //! fields.
 
 use std::collections::BTreeSet;
-use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -237,11 +236,7 @@ impl SuiteFile {
     pub fn digest(&self) -> String {
         let content = Self { trials: 0, ..self.clone() };
         let text = serde_json::to_string(&content).expect("texts and numbers serialise");
-        let digest = Sha256::digest(text.as_bytes());
-        digest.iter().fold(String::new(), |mut hex, byte| {
-            let _ = write!(hex, "{byte:02x}");
-            hex
-        })
+        hex::encode(Sha256::digest(text.as_bytes()))
     }
 
     /// Returns the name of the protocol in results: the benchmark's name and the first digits of

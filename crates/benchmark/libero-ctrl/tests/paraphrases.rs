@@ -196,7 +196,7 @@ fn the_sentences_have_the_reviewed_digest() {
     for Sentence { task, variant_id, text, .. } in sentences() {
         hash.update(format!("{task} {variant_id} {text}\n"));
     }
-    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = hex::encode(hash.finalize());
     assert_eq!(digest, DIGEST, "the sentences are not those that were reviewed");
 }
 

@@ -43,8 +43,7 @@ fn check(kind: Kind) {
             let mut rgb = picture(side);
             let mut picture = Picture { height: side, width: side, rgb: &mut rgb };
             corruption.apply(&mut picture, &mut rng).unwrap();
-            let digest = Sha256::digest(&rgb);
-            let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+            let digest = hex::encode(&Sha256::digest(&rgb)[..8]);
             assert_eq!(digest, expected, "{number} ({corruption}) at {side} pixels");
         }
         let mut skipping = LegacyRng::seed(1000 + u32::from(number));

@@ -20,7 +20,7 @@ fn check(kind: &str, lines: &[String]) {
     for line in lines {
         hash.update(format!("{line}\n"));
     }
-    let digest: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = hex::encode(hash.finalize());
     assert_eq!(digest, fields[2], "{kind}, for example {:?}", &lines[..2]);
 }
 

@@ -10,7 +10,7 @@ use proto::policy::{
 };
 use thiserror::Error;
 use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
-use transport::{Access, AccessError, Connection, Peer, ProbeResult, ServerKind};
+use transport::{Access, AccessError, Connection, Fault, Peer, ServerKind};
 
 use crate::{
     backend::{Backend, BackendError, SETTINGS},
@@ -100,7 +100,7 @@ impl GrpcBackend {
         endpoint: Endpoint,
         access: &Access,
     ) -> Result<Self, AccessError> {
-        let peer = Peer::new(endpoint.clone(), access, ServerKind::Policy, SETTINGS);
+        let peer = Peer::new(&endpoint, ServerKind::Policy, SETTINGS);
         let client = PolicyClient::new(access.connect_lazy(endpoint)?)
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
             .max_encoding_message_size(proto::MAX_MESSAGE_BYTES);
@@ -114,15 +114,15 @@ impl GrpcBackend {
     ) -> Result<T, BackendError> {
         match call.await {
             Ok(response) => Ok(response.into_inner()),
-            Err(status) => Err(self.error(status).await),
+            Err(status) => Err(self.error(status)),
         }
     }
 
-    async fn error(&self, status: Status) -> BackendError {
+    fn error(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
-        match self.peer.diagnose(&status).await {
+        match self.peer.diagnose(&status) {
             // A server that lacks the call did answer, so the connection is not at fault.
-            Some(trouble) if trouble.found == ProbeResult::LacksCall => BackendError::Refused {
+            Some(trouble) if trouble.fault == Fault::LacksCall => BackendError::Refused {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
             },

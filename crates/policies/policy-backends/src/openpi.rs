@@ -197,8 +197,7 @@ fn last_chars(text: &str) -> String {
 /// Describes an openpi server. Its metadata depend on its training configuration, and must be the
 /// same for all replicas.
 fn describe(address: &OpenpiAddress, metadata: &[u8], connected: Setting) -> DescribeResponse {
-    let digest = Sha256::digest(metadata);
-    let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = hex::encode(&Sha256::digest(metadata)[..8]);
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),

@@ -51,8 +51,7 @@ impl Writer {
         described: &DescribeResponse,
         reset: &ResetRequest,
     ) -> io::Result<Self> {
-        let digest = Sha256::digest(&reset.session);
-        let name: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+        let name = hex::encode(&Sha256::digest(&reset.session)[..8]);
         let partial = folder.join(format!("{name}.partial"));
         // Removes the file of a killed gateway, or a link, whose target must not be overwritten.
         let _ = std::fs::remove_file(&partial);

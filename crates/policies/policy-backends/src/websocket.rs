@@ -17,12 +17,15 @@ use tokio::{
 use tokio_tungstenite::{
     WebSocketStream, client_async_with_config,
     tungstenite::{
-        self, Message, client::IntoClientRequest, http::header::AUTHORIZATION,
-        protocol::WebSocketConfig,
+        self, Message, client::IntoClientRequest, error::ProtocolError,
+        http::header::AUTHORIZATION, protocol::WebSocketConfig,
     },
 };
-use tonic::{codegen::http::Uri, transport::Endpoint};
-use transport::{Access, Peer, ProbeResult, ServerKind, Settings};
+use tonic::{
+    codegen::http::{Uri, uri::InvalidUri},
+    transport::Endpoint,
+};
+use transport::{Access, ConnectError, Fault, Peer, ServerKind, Settings};
 
 use crate::{
     backend::{BackendError, SETTINGS},
@@ -110,7 +113,7 @@ impl Server {
         let settings = Settings { clear, encrypted, ..SETTINGS };
         Some(Self {
             connected: ConnectedSince::default(),
-            peer: Peer::new(endpoint, &access, kind, settings),
+            peer: Peer::new(&endpoint, kind, settings),
             host_port,
             access,
             authorization,
@@ -148,18 +151,18 @@ impl Server {
         let connecting = TcpStream::connect(&self.host_port.authority);
         let stream = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
             Ok(Ok(stream)) => stream,
-            Ok(Err(_)) => return Err(self.connection_error().await),
-            Err(_) => return Err(self.unreachable(ProbeResult::NoAnswer)),
+            Ok(Err(error)) => return Err(self.unreachable(self.peer.explain(&error))),
+            Err(late) => return Err(self.unreachable(self.peer.explain(&late))),
         };
         let checked = match self.host_port.uri().parse() {
-            Ok(uri) => self.access.check_connection(&uri, &stream).await,
-            Err(_) => Err(ProbeResult::UnknownHost),
+            Ok(uri) => self.access.check_connection(&uri, &stream).await.map_err(Fault::Untrusted),
+            Err(invalid) => Err(Fault::NoAnswer(InvalidUri::to_string(&invalid))),
         };
-        checked.map_err(|found| self.unreachable(found))?;
+        checked.map_err(|fault| self.unreachable(self.peer.error(fault)))?;
         let greeting = async {
             let socket = match self.shake_hands(stream).await {
                 Ok(socket) => socket,
-                Err(error) => return Err(self.refusal(&error).await),
+                Err(error) => return Err(self.refusal(&error)),
             };
             let mut connection = Connection {
                 socket,
@@ -176,7 +179,7 @@ impl Server {
         };
         tokio::time::timeout(GREETING_TIMEOUT, greeting)
             .await
-            .map_err(|_| self.unreachable(ProbeResult::Mute))?
+            .map_err(|late| self.unreachable(self.peer.explain(&late)))?
     }
 
     async fn shake_hands(
@@ -203,7 +206,7 @@ impl Server {
         Ok(socket)
     }
 
-    async fn refusal(&self, error: &tungstenite::Error) -> BackendError {
+    fn refusal(&self, error: &tungstenite::Error) -> BackendError {
         match error {
             tungstenite::Error::Http(response)
                 if matches!(response.status().as_u16(), 401 | 403) =>
@@ -214,26 +217,19 @@ impl Server {
                 }
             }
             tungstenite::Error::Http(response) => {
-                self.unreachable(ProbeResult::web(response.status().as_u16()))
+                self.unreachable(self.peer.error(Fault::http(response.status().as_u16())))
             }
-            _ => self.connection_error().await,
+            tungstenite::Error::Protocol(ProtocolError::HttparseError(answer)) => {
+                self.unreachable(self.peer.error(Fault::OtherProtocol(answer.to_string())))
+            }
+            error => self.unreachable(self.peer.explain(error)),
         }
     }
 
-    async fn connection_error(&self) -> BackendError {
+    fn unreachable(&self, trouble: ConnectError) -> BackendError {
         *self.connected.lock() = None;
-        BackendError::Unreachable {
-            address: self.host_port.authority.clone(),
-            trouble: self.peer.probe().await.into(),
-        }
-    }
-
-    fn unreachable(&self, found: ProbeResult) -> BackendError {
-        *self.connected.lock() = None;
-        BackendError::Unreachable {
-            address: self.host_port.authority.clone(),
-            trouble: self.peer.error(found).into(),
-        }
+        let address = self.host_port.authority.clone();
+        BackendError::Unreachable { address, trouble: trouble.into() }
     }
 }
 
@@ -261,7 +257,7 @@ pub(super) struct Connection {
 impl Connection {
     pub(super) async fn send(&mut self, message: Vec<u8>) -> Result<(), BackendError> {
         let sent = self.socket.send(Message::binary(message)).await;
-        sent.map_err(|_| self.connection_lost())
+        sent.map_err(|error| self.lost(&error))
     }
 
     pub(super) async fn receive(&mut self) -> Result<Received, BackendError> {
@@ -279,7 +275,10 @@ impl Connection {
                         ),
                     });
                 }
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.connection_lost()),
+                Some(Err(error)) => return Err(self.lost(&error)),
+                Some(Ok(Message::Close(_))) | None => {
+                    return Err(self.lost(&tungstenite::Error::ConnectionClosed));
+                }
             }
         }
     }
@@ -301,11 +300,9 @@ impl Connection {
         let _ = self.socket.close(None).await;
     }
 
-    fn connection_lost(&self) -> BackendError {
+    fn lost(&self, error: &tungstenite::Error) -> BackendError {
         *self.connected.lock() = None;
-        BackendError::Unreachable {
-            address: self.authority.clone(),
-            trouble: self.peer.error(ProbeResult::Broken).into(),
-        }
+        let address = self.authority.clone();
+        BackendError::Unreachable { address, trouble: self.peer.explain(error).into() }
     }
 }

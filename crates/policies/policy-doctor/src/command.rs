@@ -13,13 +13,14 @@ use transport::{Access, AccessError, ClientArguments, Role};
 
 use crate::{
     compare::compare,
-    diagnosis::{self, Finding, Measures},
+    diagnosis::{self, Measures, Point},
     looks::{self, RecordedLook},
     recorded,
     report::{self, ComparisonJson, DescribedServer, ExaminationJson},
     server::{ExaminationError, Server},
     situation::Situation,
     synthetic,
+    verdict::Finding,
 };
 
 /// Options of both commands: the situations, the credentials and the form of the output.
@@ -149,7 +150,7 @@ impl Doctor {
             episodes: self.episodes,
         };
         let mut findings = vec![];
-        let mut report = |finding: &Finding| {
+        let mut report = |finding: &Finding<Point>| {
             if !self.options.json {
                 print(&report::finding(finding));
             }

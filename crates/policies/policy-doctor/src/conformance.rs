@@ -5,14 +5,12 @@
 //! The check covers the protocol, not the policy's quality: the scenes are synthetic, so no answer
 //! to them is good or bad.
 
-use std::fmt;
-
 use thiserror::Error;
 use tonic::Status;
 use transport::{Access, AccessError, ConnectError, status_text};
 
+use crate::verdict::{Finding, Verdict, points, skip};
 use probe::{EpisodeAnswers, Probe, QueryOrder};
-pub use verdict::Verdict;
 
 pub mod latency;
 mod probe;
@@ -59,89 +57,28 @@ pub enum ConformanceError {
     Episode { url: String, status: Box<Status> },
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Point {
-    Description,
-    Version,
-    Health,
-    Shape,
-    Range,
-    Retry,
-    SameSeed,
-    OtherSeed,
-    Order,
-    Isolation,
-    Restart,
-    Batch,
-    Unopened,
-    Speed,
-}
-
-impl Point {
-    /// All points, in the order of the checks.
-    pub const ALL: [Self; 14] = [
-        Self::Description,
-        Self::Version,
-        Self::Health,
-        Self::Shape,
-        Self::Range,
-        Self::Retry,
-        Self::SameSeed,
-        Self::OtherSeed,
-        Self::Order,
-        Self::Isolation,
-        Self::Restart,
-        Self::Batch,
-        Self::Unopened,
-        Self::Speed,
-    ];
-}
-
-impl fmt::Display for Point {
-    /// Writes the requirement as a sentence that is true of a conforming server.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Description => "the description is consistent",
-            Self::Version => "another protocol version is refused",
-            Self::Health => "the health service reports SERVING",
-            Self::Shape => "answers are finite actions, n × 7, within the horizon",
-            Self::Range => "actions lie within -1..1",
-            Self::Retry => "a retry gets the same actions",
-            Self::SameSeed => "the same seed gives the same actions",
-            Self::OtherSeed => "another seed gives other actions exactly if declared stochastic",
-            Self::Order => "the order of queries does not change the actions",
-            Self::Isolation => "sessions do not affect one another",
-            Self::Restart => "a Reset starts an open session anew",
-            Self::Batch => "other queries of a batch do not change the actions",
-            Self::Unopened => "a session that was never opened is refused",
-            Self::Speed => "answer times are measured",
-        })
-    }
-}
-
-#[derive(Clone, Debug)]
-pub struct Finding {
-    pub point: Point,
-    pub verdict: Verdict,
-}
-
-impl fmt::Display for Finding {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (word, text) = match &self.verdict {
-            Verdict::Pass { note } => ("pass", note),
-            Verdict::Fail { reason } => ("FAIL", reason),
-            Verdict::Skip { reason } => ("skip", reason),
-        };
-        let separator = if text.is_empty() { "" } else { ": " };
-        write!(f, "{word}  {}{separator}{text}", self.point)
-    }
+points! {
+    Description "the description is consistent",
+    Version "another protocol version is refused",
+    Health "the health service reports SERVING",
+    Shape "answers are finite actions, n × 7, within the horizon",
+    Range "actions lie within -1..1",
+    Retry "a retry gets the same actions",
+    SameSeed "the same seed gives the same actions",
+    OtherSeed "another seed gives other actions exactly if declared stochastic",
+    Order "the order of queries does not change the actions",
+    Isolation "sessions do not affect one another",
+    Restart "a Reset starts an open session anew",
+    Batch "other queries of a batch do not change the actions",
+    Unopened "a session that was never opened is refused",
+    Speed "answer times are measured",
 }
 
 /// Checks a policy server point by point, and reports each finding as soon as it is made. Returns
 /// true if no point failed.
 pub async fn check(
     target: &Target,
-    report: &mut dyn FnMut(&Finding),
+    report: &mut dyn FnMut(&Finding<Point>),
 ) -> Result<bool, ConformanceError> {
     let probe = Probe::connect(target).await?;
     let reference = probe.episode("reference", SEED, QueryOrder::Forward).await;
@@ -150,10 +87,10 @@ pub async fn check(
         status: status.into(),
     })?;
     let mut conforms = true;
-    for point in Point::ALL {
+    for &point in Point::ALL {
         let verdict = examine(point, &probe, &reference).await;
         let verdict = verdict.unwrap_or_else(|status| verdict::refused(&status));
-        conforms &= !matches!(verdict, Verdict::Fail { .. });
+        conforms &= !verdict.has_failed();
         report(&Finding { point, verdict });
     }
     Ok(conforms)
@@ -176,7 +113,7 @@ async fn examine(
         | Point::Batch
             if described.unseeded =>
         {
-            verdict::skip(
+            skip(
                 "the policy's random numbers do not depend on the seed, so episodes cannot be \
                  compared",
             )
@@ -201,7 +138,7 @@ async fn examine(
             verdict::seeds(described.stochastic, answers, &other.answers)
         }
         Point::Order if described.stateful => {
-            verdict::skip("the policy is stateful: it requires queries in order")
+            skip("the policy is stateful: it requires queries in order")
         }
         Point::Order => {
             let backward = probe.episode("backward", SEED, QueryOrder::Backward).await?;
@@ -209,7 +146,7 @@ async fn examine(
         }
         Point::Isolation => verdict::same(answers, &probe.interleaved(SEED, OTHER_SEED).await?),
         Point::Restart => verdict::same(answers, &probe.restarted(SEED, OTHER_SEED).await?),
-        Point::Batch if described.max_batch <= 1 => verdict::skip("the policy declares no batches"),
+        Point::Batch if described.max_batch <= 1 => skip("the policy declares no batches"),
         Point::Batch => verdict::batch(answers, &probe.batched(SEED).await?),
         Point::Unopened => probe.unopened().await,
         Point::Speed => {

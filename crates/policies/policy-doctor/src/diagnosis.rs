@@ -2,13 +2,13 @@
 //! checks: `diagnosed_server` queries the server, `verdicts` judges the answers, `memory`
 //! watches the server's process.
 
-use std::{fmt, time::Duration};
+use std::time::Duration;
 
 use crate::{
-    conformance::verdict::{Verdict, fail, skip},
     looks::{self, Session},
     server::{ExaminationError, Server},
     situation::Situation,
+    verdict::{self, Finding, Verdict, fail, points, skip},
 };
 use diagnosed_server::{Answered, DiagnosedServer};
 use memory::Process;
@@ -18,74 +18,18 @@ mod diagnosed_server;
 mod memory;
 mod verdicts;
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Point {
-    Actions,
-    Range,
-    Motion,
-    Observations,
-    Frames,
-    Instructions,
-    Gripper,
-    Latency,
-    Memory,
-    Look,
-}
-
-impl Point {
-    /// All points, in the order of the checks.
-    pub const ALL: [Self; 10] = [
-        Self::Actions,
-        Self::Range,
-        Self::Motion,
-        Self::Observations,
-        Self::Frames,
-        Self::Instructions,
-        Self::Gripper,
-        // Precedes the latency check, whose percentiles include the many queries of this check.
-        Self::Memory,
-        Self::Latency,
-        Self::Look,
-    ];
-
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Actions => "actions",
-            Self::Range => "range",
-            Self::Motion => "motion",
-            Self::Observations => "observations",
-            Self::Frames => "frames",
-            Self::Instructions => "instructions",
-            Self::Gripper => "gripper",
-            Self::Latency => "latency",
-            Self::Memory => "memory",
-            Self::Look => "look",
-        }
-    }
-}
-
-impl fmt::Display for Point {
-    /// Writes the check as a sentence that is true of a sound server.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Actions => "answers are finite actions of seven numbers",
-            Self::Range => "actions lie within -1..1",
-            Self::Motion => "the arm moves",
-            Self::Observations => "other observations get other actions",
-            Self::Frames => "other frames get other actions",
-            Self::Instructions => "other instructions get other actions",
-            Self::Gripper => "the gripper opens",
-            Self::Latency => "answers arrive in time",
-            Self::Memory => "an ended episode leaves no state behind",
-            Self::Look => "answers tell the look of its training",
-        })
-    }
-}
-
-#[derive(Clone, Debug)]
-pub struct Finding {
-    pub point: Point,
-    pub verdict: Verdict,
+points! {
+    Actions "answers are finite actions of seven numbers",
+    Range "actions lie within -1..1",
+    Motion "the arm moves",
+    Observations "other observations get other actions",
+    Frames "other frames get other actions",
+    Instructions "other instructions get other actions",
+    Gripper "the gripper opens",
+    /// Precedes the latency check, whose percentiles include the many queries of this check.
+    Memory "an ended episode leaves no state behind",
+    Latency "answers arrive in time",
+    Look "answers tell the look of its training",
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -95,22 +39,22 @@ pub struct Measures {
     pub episodes: u32,
 }
 
-/// Checks a server point by point, in situations and in sessions that were recorded in both looks, and reports each finding as soon as it is made. Returns true if
-/// no point failed.
+/// Checks a server point by point, in situations and in sessions that were recorded in both looks,
+/// and reports each finding as soon as it is made. Returns true if no point failed.
 pub async fn examine(
     server: &Server,
     situations: &[Situation],
     looks: &[Session],
     measures: Measures,
-    report: &mut dyn FnMut(&Finding),
+    report: &mut dyn FnMut(&Finding<Point>),
 ) -> Result<bool, ExaminationError> {
     let mut diagnosed = DiagnosedServer::new(server, situations)?;
     let answered = diagnosed.answer_all().await?;
     let mut is_sound = true;
-    for point in Point::ALL {
+    for &point in Point::ALL {
         let verdict = verdict_on(point, &mut diagnosed, &answered, (looks, measures)).await;
         let verdict = verdict.unwrap_or_else(|error| fail(format!("failed to {error}")));
-        is_sound &= !matches!(verdict, Verdict::Fail { .. });
+        is_sound &= !verdict.has_failed();
         report(&Finding { point, verdict });
     }
     Ok(is_sound)
@@ -130,7 +74,7 @@ async fn verdict_on(
         Point::Memory => memory(diagnosed, measures.episodes).await?,
         Point::Latency => verdicts::latency(&diagnosed.latencies, measures.answer_within),
         _ if !answered.faults.is_empty() => skip("not all of its answers are actions"),
-        Point::Range => verdicts::range(actions),
+        Point::Range => verdict::range(actions.as_flattened()),
         Point::Motion => verdicts::motion(actions),
         Point::Gripper => verdicts::gripper(actions),
         _ if verdicts::is_constant(actions) => skip("all of its actions are the same"),

@@ -31,3 +31,4 @@ mod server_pair;
 pub mod situation;
 pub mod synthetic;
 mod variant;
+pub mod verdict;

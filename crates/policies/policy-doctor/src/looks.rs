@@ -8,11 +8,11 @@ use std::str::FromStr;
 use libero_ctrl::Look;
 use policy_backends::recording::{self, Pair, Reader, RecordingError};
 
-use crate::conformance::verdict::{Verdict, pass, skip};
 use crate::recorded::situation;
 use crate::server::{Action, ExaminationError, Server};
 use crate::server_pair::SEED;
 use crate::situation::Situation;
+use crate::verdict::{Verdict, pass, skip};
 
 /// Queries taken from each session, at even intervals.
 const QUERIES: usize = 6;

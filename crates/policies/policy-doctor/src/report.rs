@@ -6,10 +6,10 @@ use terminal::wrapped;
 
 use crate::{
     compare::Comparison,
-    conformance::verdict::Verdict,
     descriptions::DescriptionDifference,
-    diagnosis::Finding,
+    diagnosis::Point,
     difference::{Difference, Kind},
+    verdict::Finding,
 };
 
 /// Indentation of a finding's continuation lines, columns.
@@ -67,20 +67,10 @@ fn difference(difference: &Difference) -> String {
     wrapped("FAIL  ", INDENT, &words)
 }
 
-pub(crate) fn finding(finding: &Finding) -> String {
-    let (word, text) = name_and_text(&finding.verdict);
-    let word = if word == "fail" { "FAIL" } else { word };
-    let separator = if text.is_empty() { "" } else { ": " };
-    let words = format!("{}{separator}{text}", finding.point);
-    wrapped(&format!("{word}  "), INDENT, &words)
-}
-
-fn name_and_text(verdict: &Verdict) -> (&'static str, &str) {
-    match verdict {
-        Verdict::Pass { note } => ("pass", note),
-        Verdict::Fail { reason } => ("fail", reason),
-        Verdict::Skip { reason } => ("skip", reason),
-    }
+pub(crate) fn finding(finding: &Finding<Point>) -> String {
+    let text = finding.to_string();
+    let (prefix, words) = text.split_at(INDENT);
+    wrapped(prefix, INDENT, words)
 }
 
 #[derive(Debug, Serialize)]
@@ -129,16 +119,16 @@ pub(crate) struct ExaminationJson<'a> {
 
 #[derive(Debug, Serialize)]
 struct FindingJson<'a> {
-    point: &'static str,
+    point: Point,
     verdict: &'static str,
     text: &'a str,
 }
 
 impl<'a> ExaminationJson<'a> {
-    pub(crate) fn new(server: DescribedServer, findings: &'a [Finding]) -> Self {
-        let finding = |finding: &'a Finding| {
-            let (verdict, text) = name_and_text(&finding.verdict);
-            FindingJson { point: finding.point.name(), verdict, text }
+    pub(crate) fn new(server: DescribedServer, findings: &'a [Finding<Point>]) -> Self {
+        let finding = |finding: &'a Finding<Point>| {
+            let (verdict, text) = finding.verdict.parts();
+            FindingJson { point: finding.point, verdict, text }
         };
         let findings: Vec<FindingJson<'a>> = findings.iter().map(finding).collect();
         Self {

@@ -74,7 +74,7 @@ impl Network {
             name: file.name().to_owned(),
             look: file.look().map(str::to_owned),
             parameters: file.parameters(),
-            digest: hex(&Sha256::digest(bytes)),
+            digest: hex::encode(Sha256::digest(bytes)),
             products: Products::of_this_machine(),
         };
         tensors.finish()?;
@@ -187,8 +187,4 @@ impl Network {
             |(arm, gripper_logits): (&_, &_)| Output { arm: *arm, gripper_logits: *gripper_logits };
         arms.iter().zip(logits).map(output).collect()
     }
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -21,8 +21,7 @@ fn digest(outputs: &[Output]) -> String {
             hash.update(number.to_bits().to_le_bytes());
         }
     }
-    let digest = hash.finalize();
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(hash.finalize())
 }
 
 /// Digest of five answers. It changes only with the network's definition, not with the processor,

@@ -98,7 +98,7 @@ impl Sessions {
 fn random_hex() -> Option<String> {
     let mut bytes = [0; SESSION_ID_BYTES];
     let read = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
-    (read == SESSION_ID_BYTES).then(|| bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+    (read == SESSION_ID_BYTES).then(|| hex::encode(bytes))
 }
 
 fn digest(id: &str) -> [u8; 32] {

@@ -17,14 +17,13 @@ use tonic::codegen::http::{HeaderValue, Uri};
 use tonic::codegen::{BoxFuture, InterceptedService, Service};
 use tonic::metadata::{Ascii, MetadataValue};
 use tonic::service::Interceptor;
-use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
+use tonic::transport::{Certificate, ClientTlsConfig, Endpoint};
 use tonic::{Request, Status};
 
-use crate::found::ProbeResult;
 use crate::repeat::Repeating;
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
-use crate::users::check_server;
+use crate::users::{Untrusted, check_server};
 
 /// Default port of `http://` addresses.
 const HTTP_PORT: u16 = 80;
@@ -175,9 +174,9 @@ impl Access {
         &self,
         uri: &Uri,
         connection: &TcpStream,
-    ) -> Result<(), ProbeResult> {
+    ) -> Result<(), Untrusted> {
         match self.sends_token_unencrypted(uri) {
-            true => check_server(connection).await.map_err(ProbeResult::from),
+            true => check_server(connection).await,
             false => Ok(()),
         }
     }
@@ -189,37 +188,17 @@ impl Access {
         host: &str,
     ) -> std::io::Result<TlsStream<TcpStream>> {
         let host = ServerName::try_from(host.to_owned()).map_err(std::io::Error::other)?;
-        let handshake = self.tls(&[])?.connect(host, stream);
-        tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
-    }
-
-    /// Returns the TLS connector for connections that use one of these protocols, or any protocol
-    /// if the list is empty.
-    pub(crate) fn tls(&self, protocols: &[&[u8]]) -> std::io::Result<TlsConnector> {
-        let io_error = std::io::Error::other;
         // The certificates were checked when their file was read.
         let roots =
             roots(self.ca.as_deref().unwrap_or_default()).unwrap_or_else(RootCertStore::empty);
         let provider = Arc::new(crypto::ring::default_provider());
-        let mut config = ClientConfig::builder_with_provider(provider)
+        let config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(|error| io_error(error.to_string()))?
+            .map_err(std::io::Error::other)?
             .with_root_certificates(roots)
             .with_no_client_auth();
-        config.alpn_protocols = protocols.iter().map(|name| name.to_vec()).collect();
-        Ok(TlsConnector::from(Arc::new(config)))
-    }
-
-    /// Opens a connection now, without a token.
-    pub(crate) async fn channel(&self, endpoint: Endpoint) -> Option<Channel> {
-        match self.sends_token_unencrypted(endpoint.uri()) {
-            true => endpoint.connect_with_connector(LocalConnector).await.ok(),
-            false => self.with_tls(endpoint).ok()?.connect().await.ok(),
-        }
-    }
-
-    pub(crate) fn has_authority(&self) -> bool {
-        self.ca.is_some()
+        let handshake = TlsConnector::from(Arc::new(config)).connect(host, stream);
+        tokio::time::timeout(HANDSHAKE_TIMEOUT, handshake).await?
     }
 
     pub(crate) fn is_encrypted(uri: &Uri) -> bool {

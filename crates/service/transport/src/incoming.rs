@@ -1,19 +1,18 @@
-//! Incoming connections of a server: limits on their number, in total and per address, and timeouts
-//! for silent ones.
+//! Incoming connections of a server: a limit on their number, and timeouts for silent ones.
 //!
 //! Each connection costs a file descriptor and memory, and anyone who can reach the port can open
-//! thousands. Three rules keep room for admitted callers. A connection is closed if the gate admits
+//! thousands. Two rules keep room for admitted callers. A connection is closed if the gate admits
 //! none of its requests in time, or if nothing passes for minutes (live HTTP/2 connections carry
 //! pings). Beyond a limit, the oldest connection without an admitted request is evicted for the
-//! next one. An address that fills its share with admitted connections is refused further ones.
+//! next one.
 
-use std::collections::HashMap;
+use std::collections::BTreeMap;
 use std::future::Future;
 use std::io;
-use std::net::IpAddr;
+use std::ops::DerefMut;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
@@ -42,10 +41,9 @@ const RESERVED_DESCRIPTORS: u64 = 96;
 const MIN_CONNECTIONS: usize = 8;
 /// Highest descriptor limit that is requested.
 const WANTED_DESCRIPTORS: u64 = 65_536;
-/// Pauses after a failed accept, doubling. Descriptors or memory become available when others
-/// release them, so retrying at once does not help.
-const FIRST_PAUSE: Duration = Duration::from_millis(10);
-const LONGEST_PAUSE: Duration = Duration::from_secs(1);
+/// Pause after a failed accept. Descriptors or memory become available when others release them, so
+/// retrying at once does not help.
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// Raises the limit of open files to what the system allows, at most 65,536, and returns the limit.
 /// Each connection needs a file, and a large campaign has more workers and slots than the default
@@ -63,42 +61,24 @@ pub fn raise_file_limit() -> u64 {
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
 
-/// Limits on the number of connections.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Limits {
-    total: usize,
-    of_one_address: usize,
-}
-
-impl Limits {
-    /// Derives the limits from the number of descriptors. A single address never gets all
-    /// connections.
-    fn of_descriptors(descriptors: u64) -> Limits {
-        let total = descriptors.saturating_sub(RESERVED_DESCRIPTORS);
-        let total = usize::try_from(total).unwrap_or(usize::MAX);
-        let total = total.max(MIN_CONNECTIONS);
-        Limits { total, of_one_address: (total / 4 * 3).max(1) }
-    }
+/// Returns the number of connections for which there are descriptors.
+fn limit_of(descriptors: u64) -> usize {
+    let limit = descriptors.saturating_sub(RESERVED_DESCRIPTORS);
+    usize::try_from(limit).unwrap_or(usize::MAX).max(MIN_CONNECTIONS)
 }
 
 #[derive(Debug)]
 struct OpenConnections {
-    limits: Limits,
-    connections: Mutex<HashMap<u64, Entry>>,
+    limit: usize,
+    /// Numbers follow the order of arrival.
+    connections: Mutex<BTreeMap<u64, Entry>>,
 }
 
 #[derive(Debug)]
 struct Entry {
-    address: IpAddr,
     /// True once the gate has admitted a request of the connection.
     admitted: Arc<AtomicBool>,
     evict: Arc<Notify>,
-}
-
-impl Entry {
-    fn is_admitted(&self) -> bool {
-        self.admitted.load(Ordering::Relaxed)
-    }
 }
 
 /// A slot among the open connections, released on drop.
@@ -112,29 +92,21 @@ struct Slot {
 }
 
 impl OpenConnections {
-    fn lock(&self) -> MutexGuard<'_, HashMap<u64, Entry>> {
+    fn lock(&self) -> impl DerefMut<Target = BTreeMap<u64, Entry>> {
         // No thread panics while it holds this lock.
         self.connections.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
-    /// oldest connection without an admitted request is evicted: of the same address if that
-    /// address has used its share, otherwise of any address. Returns `None` if there is none.
-    fn take_slot(self: &Arc<OpenConnections>, number: u64, address: IpAddr) -> Option<Slot> {
+    /// Takes a slot for connection `number`. At the limit, the oldest connection without an
+    /// admitted request is evicted; returns `None` if there is none.
+    fn take_slot(self: &Arc<OpenConnections>, number: u64) -> Option<Slot> {
         let mut connections = self.lock();
-        let is_same_address = |entry: &Entry| entry.address == address;
-        let count = connections.values().filter(|entry| is_same_address(entry)).count();
-        let is_full = count >= self.limits.of_one_address;
-        let unadmitted = || connections.iter().filter(|(_, entry)| !entry.is_admitted());
-        if is_full
-            || connections.len() >= self.limits.total
-            || unadmitted().count() >= MAX_UNADMITTED
-        {
-            let evictable = unadmitted().filter(|(_, entry)| !is_full || is_same_address(entry));
-            let oldest = evictable.map(|(number, _)| *number).min()?;
-            if let Some(entry) = connections.remove(&oldest) {
-                entry.evict.notify_one();
-            }
+        let is_waiting = |entry: &Entry| !entry.admitted.load(Ordering::Relaxed);
+        let mut waiting = connections.iter().filter(|(_, entry)| is_waiting(entry));
+        let oldest = waiting.next().map(|(number, _)| *number);
+        if connections.len() >= self.limit || waiting.count() + 1 >= MAX_UNADMITTED {
+            let entry = connections.remove(&oldest?);
+            entry.inspect(|entry| entry.evict.notify_one());
         }
         let (admitted, evict) = (Arc::default(), Arc::<Notify>::default());
         let slot = Slot {
@@ -143,7 +115,7 @@ impl OpenConnections {
             admitted: Arc::clone(&admitted),
             evicted: Box::pin(Arc::clone(&evict).notified_owned()),
         };
-        connections.insert(number, Entry { address, admitted, evict });
+        connections.insert(number, Entry { admitted, evict });
         Some(slot)
     }
 }
@@ -282,26 +254,22 @@ pub struct Incoming {
     idle: Duration,
     /// Number of connections accepted so far.
     accepted: u64,
-    /// Length of the next pause after a failed accept.
-    pause: Duration,
-    /// The pause in progress.
+    /// The pause in progress after a failed accept.
     waiting: Option<Pin<Box<Sleep>>>,
     /// Time of the last log entry about too many connections.
     logged: Option<Instant>,
 }
 
 impl Incoming {
-    /// Derives the limits of connections from the number of files that this process may open.
+    /// Derives the limit of connections from the number of files that this process may open.
     pub fn new(listener: TcpListener) -> Incoming {
         let descriptors = getrlimit(Resource::Nofile).current;
-        let limits = Limits::of_descriptors(descriptors.unwrap_or(WANTED_DESCRIPTORS));
-        let connections = Mutex::default();
+        let limit = limit_of(descriptors.unwrap_or(WANTED_DESCRIPTORS));
         Incoming {
             listener,
-            open: Arc::new(OpenConnections { limits, connections }),
+            open: Arc::new(OpenConnections { limit, connections: Mutex::default() }),
             idle: IDLE_TIMEOUT,
             accepted: 0,
-            pause: FIRST_PAUSE,
             waiting: None,
             logged: None,
         }
@@ -314,43 +282,37 @@ impl Incoming {
                 ready!(waiting.as_mut().poll(context));
                 self.waiting = None;
             }
-            let (stream, address) = match ready!(self.listener.poll_accept(context)) {
+            let (stream, _) = match ready!(self.listener.poll_accept(context)) {
                 Ok(accepted) => accepted,
                 // The peer has already disconnected.
                 Err(error) if error.kind() == io::ErrorKind::ConnectionAborted => continue,
                 Err(error) => {
-                    if self.pause == FIRST_PAUSE {
-                        tracing::warn!(
-                            "no connection can be accepted at present: {error}; if this continues, \
-                             allow this process more open files (`ulimit -n`, LimitNOFILE=)"
-                        );
-                    }
-                    self.waiting = Some(Box::pin(sleep(self.pause)));
-                    self.pause = (self.pause * 2).min(LONGEST_PAUSE);
+                    self.warn(&error.to_string());
+                    self.waiting = Some(Box::pin(sleep(PAUSE)));
                     continue;
                 }
             };
-            self.pause = FIRST_PAUSE;
             self.accepted += 1;
             // Without TCP_NODELAY a small answer waits 40 ms for the peer's delayed
             // acknowledgement.
             if stream.set_nodelay(true).is_err() {
                 continue;
             }
-            let address = address.ip().to_canonical();
-            if let Some(slot) = self.open.take_slot(self.accepted, address) {
-                return Poll::Ready(Watched::new(stream, slot, self.idle));
+            match self.open.take_slot(self.accepted) {
+                Some(slot) => return Poll::Ready(Watched::new(stream, slot, self.idle)),
+                None => self.warn(&format!("all {} are in use", self.open.limit)),
             }
-            let is_recent = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
-            if !self.logged.is_some_and(is_recent) {
-                self.logged = Some(Instant::now());
-                let Limits { total, of_one_address } = self.open.limits;
-                tracing::warn!(
-                    "a connection of {address} was refused: at most {total} are accepted, and \
-                     {of_one_address} from one address; if all are needed, allow this process \
-                     more open files (`ulimit -n`, LimitNOFILE=)"
-                );
-            }
+        }
+    }
+
+    /// Logs that a connection was not accepted, once per interval.
+    fn warn(&mut self, problem: &str) {
+        if self.logged.is_none_or(|at| at.elapsed() >= LOG_AGAIN_AFTER) {
+            self.logged = Some(Instant::now());
+            tracing::warn!(
+                "no connection can be accepted at present: {problem}; if this continues, allow \
+                 this process more open files (`ulimit -n`, LimitNOFILE=)"
+            );
         }
     }
 }
@@ -371,7 +333,6 @@ mod tests {
     use std::fs::File;
     use std::future::poll_fn;
     use std::io::{Read, Write};
-    use std::net::Ipv4Addr;
     use std::process::Command;
 
     use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -379,50 +340,24 @@ mod tests {
 
     use super::*;
 
-    fn address(last: u8) -> IpAddr {
-        Ipv4Addr::new(10, 0, 0, last).into()
-    }
-
-    fn open(total: usize, of_one_address: usize) -> Arc<OpenConnections> {
-        Arc::new(OpenConnections {
-            limits: Limits { total, of_one_address },
-            connections: Mutex::default(),
-        })
-    }
-
-    /// Takes a slot for a connection with an admitted request.
-    fn admitted(open: &Arc<OpenConnections>, number: u64, caller: IpAddr) -> Option<Slot> {
-        let slot = open.take_slot(number, caller)?;
-        slot.admitted.store(true, Ordering::Relaxed);
-        Some(slot)
-    }
-
     #[test]
     fn the_oldest_connection_without_an_admitted_request_is_evicted() {
-        let open = open(3, 3);
-        let unadmitted = [1, 2].map(|number| open.take_slot(number, address(1)).expect("a slot"));
-        let admitted = admitted(&open, 3, address(1)).expect("a slot");
-        let next = open.take_slot(4, address(2)).expect("the slot of the first");
-        let mut numbers: Vec<u64> = open.lock().keys().copied().collect();
-        numbers.sort_unstable();
+        let open = Arc::new(OpenConnections { limit: 3, connections: Mutex::default() });
+        let mut slots: Vec<Slot> = (1..=3).filter_map(|number| open.take_slot(number)).collect();
+        slots[1].admitted.store(true, Ordering::Relaxed);
+        slots.extend(open.take_slot(4));
+        let numbers: Vec<u64> = open.lock().keys().copied().collect();
         assert_eq!(numbers, [2, 3, 4]);
-        drop((unadmitted, admitted, next));
+        slots.iter().for_each(|slot| slot.admitted.store(true, Ordering::Relaxed));
+        assert!(open.take_slot(5).is_none(), "every connection is admitted");
+        drop(slots);
         assert!(open.lock().is_empty());
-    }
 
-    #[test]
-    fn admitted_connections_of_one_address_leave_the_others_their_share() {
-        let open = open(4, 3);
-        let unadmitted = open.take_slot(1, address(2)).expect("a slot");
-        let taken: Vec<Slot> =
-            (2..=4).filter_map(|number| admitted(&open, number, address(1))).collect();
-        assert_eq!(taken.len(), 3);
-        assert!(open.take_slot(5, address(1)).is_none(), "the address has used its share");
-        assert!(open.lock().contains_key(&1), "the connection of another address stays");
-        // Another address evicts the connection without an admitted request.
-        assert!(open.take_slot(6, address(3)).is_some());
-        assert!(!open.lock().contains_key(&1));
-        drop((unadmitted, taken));
+        let open = Arc::new(OpenConnections { limit: usize::MAX, connections: Mutex::default() });
+        let numbers = 0..=MAX_UNADMITTED as u64;
+        let slots: Vec<Slot> = numbers.filter_map(|number| open.take_slot(number)).collect();
+        assert_eq!((open.lock().len(), slots.len()), (MAX_UNADMITTED, MAX_UNADMITTED + 1));
+        assert!(!open.lock().contains_key(&0));
     }
 
     /// Connects to `incoming`; returns both ends.
@@ -532,23 +467,16 @@ mod tests {
         let _caller = std::net::TcpStream::connect(address).expect("connects");
         let files: Vec<File> = std::iter::from_fn(|| File::open("/dev/null").ok()).collect();
         assert!(files.len() < 128, "the limit is not in force");
-        let begun = Instant::now();
-        let early = timeout(Duration::from_millis(400), accepted(&mut incoming)).await;
+        let early = timeout(4 * PAUSE, accepted(&mut incoming)).await;
         assert!(early.is_err(), "accepted a connection without a free descriptor");
-        // Accepting pauses six times, for 10, 20, … 320 ms, instead of retrying at once.
-        assert!(incoming.pause > 8 * FIRST_PAUSE, "{:?}", incoming.pause);
-        assert!(incoming.pause <= LONGEST_PAUSE, "{:?}", incoming.pause);
+        assert!(incoming.waiting.is_some(), "accepting is retried at once");
         drop(files);
-        let late = timeout(2 * LONGEST_PAUSE, accepted(&mut incoming)).await;
+        let late = timeout(8 * PAUSE, accepted(&mut incoming)).await;
         late.expect("a descriptor is free again");
-        assert_eq!(incoming.pause, FIRST_PAUSE, "after {:?}", begun.elapsed());
     }
 
     #[test]
     fn limits_reserve_descriptors_for_other_files() {
-        let limits = Limits::of_descriptors(1_024);
-        assert_eq!(limits, Limits { total: 928, of_one_address: 696 });
-        let few = Limits::of_descriptors(1);
-        assert_eq!(few, Limits { total: 8, of_one_address: 6 });
+        assert_eq!([1, 1_024].map(limit_of), [8, 928]);
     }
 }

@@ -1,34 +1,132 @@
-//! The server that a client calls: its address and expected kind, and the diagnosis of failed
-//! calls.
+//! The server that a client calls: its expected kind and, for failed calls, what the libraries say
+//! about it with a remedy.
 
 use std::error::Error;
-use std::future::poll_fn;
 use std::io;
-use std::time::Duration;
 
-use tonic::body::Body;
-use tonic::codegen::Service;
-use tonic::codegen::http::{Request, Uri, header};
-use tonic::transport::{Channel, Endpoint};
+use tokio_rustls::rustls;
+use tonic::transport::Endpoint;
 use tonic::{Code, Status};
 
 use crate::client::Access;
-use crate::found::{ConnectError, ProbeResult, ServerKind, Settings};
-use crate::probe::{self, HttpVersion, ProbeTarget};
+use crate::failure::innermost;
 use crate::users::Untrusted;
 
 /// Start of tonic's message for an answer that is not from a gRPC server.
-const NO_GRPC_STATUS: &str = "grpc-status header missing";
-/// Timeout of the probing connection, and of its answer.
-const PROBE_TIMEOUT: Duration = Duration::from_secs(3);
-/// An empty gRPC message: uncompressed, length 0.
-const EMPTY_MESSAGE: &str = "\0\0\0\0\0";
+const NO_GRPC_STATUS: &str = "grpc-status header missing, mapped from HTTP status code ";
+/// HTTP statuses of a proxy whose backend is unavailable.
+const BACKEND_DOWN: [u16; 3] = [502, 503, 504];
+
+/// Kind of server that a client expects at an address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServerKind {
+    Coordinator,
+    /// A server of `rollout.policy.v1`: a policy, or a gateway in front of policies.
+    Policy,
+    /// An openpi server, which uses WebSocket.
+    Openpi,
+    /// A vla-eval model server, which uses WebSocket.
+    VlaEval,
+}
+
+impl ServerKind {
+    fn name(self) -> &'static str {
+        match self {
+            ServerKind::Coordinator => "the coordinator",
+            ServerKind::Policy => "the policy server",
+            ServerKind::Openpi => "the openpi server",
+            ServerKind::VlaEval => "the vla-eval model server",
+        }
+    }
+}
+
+/// Options of a client that set the server's address and certificate authority, as remedies name
+/// them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settings {
+    /// Option for the address, such as `--connect`.
+    pub address: &'static str,
+    /// Option for the certificate authority, such as `--ca`.
+    pub authority: &'static str,
+    /// Prefix of addresses without TLS, such as `http://`.
+    pub clear: &'static str,
+    /// Prefix of addresses with TLS, such as `https://`.
+    pub encrypted: &'static str,
+}
+
+/// Reason why a server did not answer a call. The texts are the libraries'.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// The connection is refused.
+    Refused,
+    /// The token is not sent.
+    Untrusted(Untrusted),
+    /// The TLS handshake failed.
+    Tls(String),
+    /// A web server answered.
+    OtherProtocol(String),
+    /// The server does not have the call.
+    LacksCall,
+    /// No answer came: there is no connection, or it ended.
+    NoAnswer(String),
+}
+
+impl Fault {
+    /// Reads the reason from an error and its causes.
+    fn of(error: &(dyn Error + 'static)) -> Fault {
+        let mut cause = Some(error);
+        while let Some(error) = cause {
+            if let Some(untrusted) = error.downcast_ref::<Untrusted>() {
+                return Fault::Untrusted(*untrusted);
+            }
+            if let Some(error) = error.downcast_ref::<io::Error>() {
+                // An error of TLS is inside, and not among the causes.
+                if let Some(inner) = error.get_ref().filter(|inner| inner.is::<rustls::Error>()) {
+                    return Fault::Tls(inner.to_string());
+                }
+                if error.kind() == io::ErrorKind::ConnectionRefused {
+                    return Fault::Refused;
+                }
+            }
+            cause = error.source();
+        }
+        Fault::NoAnswer(innermost(error))
+    }
+
+    /// Returns the fault of a web server that answered with this HTTP status.
+    pub fn http(status: u16) -> Fault {
+        let text = format!("HTTP status {status}");
+        match BACKEND_DOWN.contains(&status) {
+            true => Fault::NoAnswer(text),
+            false => Fault::OtherProtocol(text),
+        }
+    }
+
+    /// Returns true if the settings of client or server are wrong, so that retrying is useless.
+    pub fn is_final(&self) -> bool {
+        match self {
+            Fault::Untrusted(untrusted) => *untrusted == Untrusted::AnotherUser,
+            Fault::Tls(_) | Fault::OtherProtocol(_) | Fault::LacksCall => true,
+            Fault::Refused | Fault::NoAnswer(_) => false,
+        }
+    }
+}
+
+/// Reason why a call to a server failed, with the remedy. The message follows the server's address
+/// and a colon.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{finding}; {remedy}")]
+pub struct ConnectError {
+    pub fault: Fault,
+    /// The fault in words.
+    pub finding: String,
+    remedy: String,
+}
 
 /// A server that a client calls.
 #[derive(Clone, Debug)]
 pub struct Peer {
-    endpoint: Endpoint,
-    access: Access,
+    is_encrypted: bool,
     kind: ServerKind,
     settings: Settings,
 }
@@ -36,147 +134,88 @@ pub struct Peer {
 impl Peer {
     /// Creates the peer at an endpoint, where a server of `kind` is expected. `settings` are
     /// the client's options that remedies name.
-    pub fn new(endpoint: Endpoint, access: &Access, kind: ServerKind, settings: Settings) -> Peer {
-        Peer { endpoint, access: access.clone(), kind, settings }
+    pub fn new(endpoint: &Endpoint, kind: ServerKind, settings: Settings) -> Peer {
+        Peer { is_encrypted: Access::is_encrypted(endpoint.uri()), kind, settings }
     }
 
-    /// Diagnoses a failed call; `None` if the server itself answered with the failure. May probe
-    /// the address, which takes a few seconds at most.
-    pub async fn diagnose(&self, status: &Status) -> Option<ConnectError> {
-        let found = match status.source() {
-            Some(_) => match connection_finding(status) {
-                Some(found) => found,
-                None => self.probe_address().await,
-            },
-            None if status.code() == Code::Unimplemented => self.probe_address().await,
-            None if status.message().starts_with(NO_GRPC_STATUS) => self.probe_address().await,
-            None => return None,
-        };
-        // The probe found the right server, which lacks only the requested call.
-        let found = match found {
-            ProbeResult::Broken if status.code() == Code::Unimplemented => ProbeResult::LacksCall,
-            found => found,
-        };
-        Some(self.error(found))
+    /// Diagnoses a failed call; `None` if the server itself answered with the failure.
+    pub fn diagnose(&self, status: &Status) -> Option<ConnectError> {
+        let http = status.message().strip_prefix(NO_GRPC_STATUS).and_then(|code| code.parse().ok());
+        Some(self.error(match (status.source(), http) {
+            (Some(error), _) => Fault::of(error),
+            (None, Some(code)) => Fault::http(code),
+            (None, None) if status.code() == Code::Unimplemented => Fault::LacksCall,
+            (None, None) => return None,
+        }))
     }
 
-    /// Diagnoses a failed connection by probing the server's address, for clients that do not use
-    /// gRPC.
-    pub async fn probe(&self) -> ConnectError {
-        self.error(self.probe_address().await)
+    /// Diagnoses a failure of a connection of another protocol than gRPC.
+    pub fn explain(&self, error: &(dyn Error + 'static)) -> ConnectError {
+        self.error(Fault::of(error))
     }
 
-    /// Returns the error for a finding at this server's address.
-    pub fn error(&self, found: ProbeResult) -> ConnectError {
-        ConnectError {
-            expected: self.kind,
-            host: host(self.endpoint.uri()).to_owned(),
-            found,
-            has_authority: self.access.has_authority(),
-            settings: self.settings,
-        }
-    }
-
-    async fn probe_address(&self) -> ProbeResult {
-        let uri = self.endpoint.uri();
-        let is_encrypted = Access::is_encrypted(uri);
-        let target = ProbeTarget {
-            host: host(uri),
-            port: uri.port_u16().unwrap_or(if is_encrypted { 443 } else { 80 }),
-            is_encrypted,
+    pub fn error(&self, fault: Fault) -> ConnectError {
+        let Settings { address, authority, clear, encrypted } = self.settings;
+        let name = self.kind.name();
+        let finding = match &fault {
+            Fault::Refused => "nothing listens there".to_owned(),
+            Fault::Untrusted(untrusted) => untrusted.to_string(),
+            Fault::Tls(text) => format!("TLS with the server there fails ({text})"),
+            Fault::OtherProtocol(text) => format!("a server of another kind is there ({text})"),
+            Fault::LacksCall => "the server there does not have this call".to_owned(),
+            Fault::NoAnswer(text) => format!("no answer came from it ({text})"),
         };
-        let protocols: &[&[u8]] = match self.kind {
-            ServerKind::Openpi | ServerKind::VlaEval => &[],
-            ServerKind::Coordinator | ServerKind::Policy => &[probe::HTTP2],
-        };
-        let tls = match self.access.tls(protocols) {
-            Ok(tls) => tls,
-            Err(error) => return ProbeResult::OtherTls(error.to_string()),
-        };
-        match (probe::identify(target, &tls).await, self.kind) {
-            (Err(found), _) => found,
-            (Ok(HttpVersion::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => {
-                ProbeResult::Broken
+        let remedy = match (&fault, self.kind) {
+            (Fault::Refused, ServerKind::Coordinator) => {
+                format!("start it with `coordinator serve`, or name another in {address}")
             }
-            (Ok(HttpVersion::Http1(line)), _) => ProbeResult::web_line(line),
-            (Ok(HttpVersion::Http2), _) => self.kind_at_address().await,
-        }
-    }
-
-    /// Determines the kind of this project's server at the address.
-    async fn kind_at_address(&self) -> ProbeResult {
-        let Some(channel) = self.access.channel(self.http_endpoint()).await else {
-            return ProbeResult::Broken;
-        };
-        let others = ServerKind::OF_GRPC.into_iter().filter(|kind| *kind != self.kind);
-        let mut finding = ProbeResult::OtherGrpc;
-        for kind in [self.kind].into_iter().chain(others) {
-            let Some(path) = kind.call() else { continue };
-            match self.has_call(channel.clone(), path).await {
-                Ok(true) if kind == self.kind => return ProbeResult::Broken,
-                Ok(true) => return ProbeResult::OtherKind(kind),
-                Ok(false) => {}
-                // A coordinator answers unknown paths with a page.
-                Err(found) => finding = found,
+            (Fault::Refused, _) => format!("start it, or name another in {address}"),
+            (Fault::Untrusted(_), _) => format!(
+                "stop that program, or let {name} use TLS and write {encrypted} in place of \
+                 {clear} in {address}"
+            ),
+            (Fault::Tls(_), _) => format!(
+                "its --tls-cert must be valid now and for the host in {address}, and signed by \
+                 the authority in {authority}; if it does not use TLS, write {clear} in place of \
+                 {encrypted}"
+            ),
+            (Fault::OtherProtocol(_), _) => format!("name the address of {name} in {address}"),
+            (Fault::LacksCall, ServerKind::Coordinator) => format!(
+                "name the address of {name} in {address}, and use the same version of both programs"
+            ),
+            (Fault::LacksCall, _) => format!(
+                "name the address of {name} in {address}; it must implement every call of \
+                 rollout.policy.v1, which policy.proto describes"
+            ),
+            (Fault::NoAnswer(_), _) if self.is_encrypted => {
+                format!("check that {name} runs, and that {address} names it")
             }
-        }
-        finding
-    }
-
-    /// Returns true if a gRPC server has the call of a path.
-    async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, ProbeResult> {
-        let mut request = Request::post(path)
-            .body(Body::new(EMPTY_MESSAGE.to_owned()))
-            .map_err(|_| ProbeResult::Broken)?;
-        let headers = request.headers_mut();
-        for (name, value) in [(header::CONTENT_TYPE, "application/grpc"), (header::TE, "trailers")]
-        {
-            headers.insert(name, header::HeaderValue::from_static(value));
-        }
-        // Without a token, a protected server refuses every path alike.
-        if let Some(token) = self.access.authorization(self.endpoint.uri(), "Bearer") {
-            headers.insert(header::AUTHORIZATION, token);
-        }
-        let is_ready = poll_fn(|context| channel.poll_ready(context)).await;
-        is_ready.map_err(|_| ProbeResult::Broken)?;
-        let answer = channel.call(request).await.map_err(|_| ProbeResult::Broken)?;
-        let content = answer.headers().get(header::CONTENT_TYPE);
-        if !content.is_some_and(|header| header.as_bytes().starts_with(b"application/grpc")) {
-            return Err(ProbeResult::web(answer.status().as_u16()));
-        }
-        let status = Status::from_header_map(answer.headers());
-        Ok(status.is_none_or(|status| status.code() != Code::Unimplemented))
-    }
-
-    /// Returns the endpoint of the server for gRPC calls of the probe, with its timeouts.
-    fn http_endpoint(&self) -> Endpoint {
-        let uri = self.endpoint.uri();
-        let scheme = if Access::is_encrypted(uri) { "https" } else { "http" };
-        let authority = uri.authority().map_or("", |authority| authority.as_str());
-        Endpoint::from_shared(format!("{scheme}://{authority}"))
-            .unwrap_or_else(|_| self.endpoint.clone())
-            .connect_timeout(PROBE_TIMEOUT)
-            .timeout(PROBE_TIMEOUT)
+            (Fault::NoAnswer(_), _) => format!(
+                "check that {name} runs, and that {address} names it, with {encrypted} in place \
+                 of {clear} if it uses TLS"
+            ),
+        };
+        ConnectError { fault, finding, remedy }
     }
 }
 
-/// Returns the finding for a connection error among a status's causes, so that no probe is needed;
-/// `None` if there is no such error.
-fn connection_finding(status: &Status) -> Option<ProbeResult> {
-    let mut cause = status.source();
-    while let Some(error) = cause {
-        if let Some(untrusted) = error.downcast_ref::<Untrusted>() {
-            return Some(ProbeResult::from(*untrusted));
-        }
-        if let Some(found) = error.downcast_ref::<io::Error>().and_then(probe::connect_finding) {
-            return Some(found);
-        }
-        cause = error.source();
-    }
-    None
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-fn host(uri: &Uri) -> &str {
-    let host = uri.host().unwrap_or_default();
-    host.trim_start_matches('[').trim_end_matches(']')
+    #[test]
+    fn a_call_is_not_repeated_if_only_other_settings_can_help() {
+        let no_tls = io::Error::other(rustls::Error::HandshakeNotComplete);
+        let errors: [(Box<dyn Error>, bool); 5] = [
+            (no_tls.into(), true),
+            (Untrusted::AnotherUser.into(), true),
+            (Untrusted::UnknownUser.into(), false),
+            (io::Error::from(io::ErrorKind::ConnectionRefused).into(), false),
+            (io::Error::from(io::ErrorKind::ConnectionReset).into(), false),
+        ];
+        for (error, is_final) in errors {
+            assert_eq!(Fault::of(&*error).is_final(), is_final, "{error}");
+        }
+        assert!(!Fault::http(503).is_final() && Fault::http(404).is_final());
+    }
 }

@@ -19,4 +19,4 @@ pub use index::{INDEX, index_of_environment};
 pub use origin::Origin;
 pub use progress::{Bar, Progress, Report, size_in_words};
 pub use table::{FileFacts, Table};
-pub use verify::{Difference, VerifiedFolder, hex};
+pub use verify::{Difference, VerifiedFolder};

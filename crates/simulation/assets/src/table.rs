@@ -152,7 +152,6 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     use super::*;
-    use crate::verify::hex;
 
     /// The pack's digest depends on the files' contents, so every edit of the table must also
     /// change the digest: `assets/libero/table.py` writes both.
@@ -163,7 +162,7 @@ mod tests {
             hash.update(part);
         }
         assert_eq!(
-            hex(&hash.finalize()),
+            hex::encode(hash.finalize()),
             "642c9c05df66699488304ea680ec2a23e7f49656b88598a3f8c32ce0100ffe39"
         );
     }

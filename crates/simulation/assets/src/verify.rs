@@ -135,13 +135,8 @@ fn sha256_of(path: &Path) -> io::Result<String> {
     let mut block = vec![0; BLOCK_BYTES];
     loop {
         match file.read(&mut block)? {
-            0 => return Ok(hex(&hash.finalize())),
+            0 => return Ok(hex::encode(hash.finalize())),
             read => hash.update(&block[..read]),
         }
     }
-}
-
-/// Formats in lower case.
-pub fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

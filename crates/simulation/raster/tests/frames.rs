@@ -10,8 +10,7 @@ use scenes::{corner, largest_levels, model, room, shadows};
 use sha2::{Digest, Sha256};
 
 fn digest(frame: &[u8]) -> String {
-    let digest = Sha256::digest(frame);
-    digest.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(&Sha256::digest(frame)[..8])
 }
 
 /// First eight bytes of the SHA-256 of the room's frames, by size. The frames change only with

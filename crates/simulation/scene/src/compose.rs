@@ -110,7 +110,7 @@ impl Scene {
                 hash.update(value.to_le_bytes());
             }
         }
-        assets::hex(&hash.finalize())
+        hex::encode(hash.finalize())
     }
 
     pub fn instance(&self, name: &str) -> Option<&Instance> {

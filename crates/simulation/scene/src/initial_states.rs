@@ -71,7 +71,7 @@ impl InitialStates {
         for value in self.get(id)? {
             hash.update(value.to_le_bytes());
         }
-        Some(assets::hex(&hash.finalize()))
+        Some(hex::encode(hash.finalize()))
     }
 }
 

@@ -8,7 +8,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use assets::{Table, VerifiedFolder, hex};
+use assets::{Table, VerifiedFolder};
 use libero_ctrl::Look;
 use sha2::{Digest, Sha256};
 
@@ -156,7 +156,7 @@ impl AssetPack {
         for (inside, bytes) in builtin::FILES {
             hash_file(&mut hash, inside, bytes);
         }
-        let digest = hex(&hash.finalize());
+        let digest = hex::encode(hash.finalize());
         let dir = packs.join(format!("{PRIMITIVES}-{}", &digest[..12]));
         if !dir.is_dir() {
             // Slots that start together never see an incomplete pack.
@@ -202,7 +202,7 @@ pub fn digest_of_folder(dir: &Path) -> Result<String, SceneError> {
         let bytes = std::fs::read(path).map_err(|source| read_error(path, source))?;
         hash_file(&mut hash, &inside.to_string_lossy(), &bytes);
     }
-    Ok(hex(&hash.finalize()))
+    Ok(hex::encode(hash.finalize()))
 }
 
 /// Limit of nesting, beyond any real pack; ends cycles of symbolic links.

@@ -5,7 +5,6 @@ use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 
-use assets::hex;
 use libero_family::para;
 use libero_family::protocol::Benchmark;
 use sha2::{Digest, Sha256};
@@ -35,7 +34,7 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
         let file = File::open(checkout.join(&inside));
         match file.and_then(|file| read_limited(file, MAX_FILE_BYTES)) {
             Ok(bytes) => {
-                let _ = writeln!(digests, "{}  {inside}", hex(&Sha256::digest(&bytes)));
+                let _ = writeln!(digests, "{}  {inside}", hex::encode(Sha256::digest(&bytes)));
                 files.extend(copy.map(|path| (path, bytes)));
             }
             Err(error) if error.kind() == io::ErrorKind::NotFound => missing.push(inside),
@@ -47,7 +46,7 @@ pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, S
         let count = missing.len();
         return Err(refused(format!("{count} of {all} files are missing, for example `{first}`")));
     }
-    let found = hex(&Sha256::digest(&digests));
+    let found = hex::encode(Sha256::digest(&digests));
     let expected = para::digest();
     if found != expected {
         return Err(refused(format!(

@@ -126,8 +126,7 @@ fn digest(look: Look, numbers: &[f64], frames: &[Vec<u8>]) -> String {
     for frame in frames {
         hash.update(frame);
     }
-    let digest = hash.finalize();
-    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(hash.finalize())
 }
 
 #[cfg(test)]

@@ -11,6 +11,21 @@ use tonic::{Code, Status};
 /// Length of a gRPC frame header: the compression flag and the message length.
 const FRAME_HEAD_BYTES: usize = 5;
 
+/// Returns the methods of a proto file, each as `Service/Method`.
+pub(crate) fn methods(proto: &str) -> Vec<String> {
+    let mut service = "";
+    let mut methods = Vec::new();
+    for line in proto.lines() {
+        let mut words = line.trim().split([' ', '(']);
+        match (words.next(), words.next()) {
+            (Some("service"), Some(name)) => service = name,
+            (Some("rpc"), Some(name)) => methods.push(format!("{service}/{name}")),
+            _ => {}
+        }
+    }
+    methods
+}
+
 /// Calls the method at `path` and returns the messages of its answer.
 ///
 /// # Panics

@@ -6,7 +6,7 @@ use std::path::Path;
 
 use libero_ctrl::{CampaignSpec, Design, manifest as manifests};
 use policy_backends::recording::{self, Pair};
-use policy_gateway::config::file as gateway;
+use policy_gateway::config as gateway;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use transport::{Role, Tokens};
 use worker::single::RecordedActions;

@@ -16,7 +16,7 @@ mod script;
 
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Name, which is also the name of the program in `fuzz/fuzz_targets`.
+    /// Name, which is also the name of its program in `fuzz`.
     pub name: &'static str,
     /// Runs one input; returns true if it was accepted, by at least one parser if it is given to
     /// several.

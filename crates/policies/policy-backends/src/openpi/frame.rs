@@ -89,8 +89,7 @@ mod tests {
         let at = |x: usize, y: usize| &prepared[3 * (y * SIDE + x)..][..3];
         assert_eq!(at(0, 0), [45, 88, 138]);
         assert_eq!(at(100, 100), [105, 55, 105]);
-        let digest = Sha256::digest(&prepared);
-        let digest: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        let digest = hex::encode(Sha256::digest(&prepared));
         assert_eq!(digest, "9a4c9d135a8b82e596068dd9c126a3bccc9514f89fa7a4e358f2cf4f526b2cf3");
     }
 

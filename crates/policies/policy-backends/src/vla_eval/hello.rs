@@ -194,8 +194,7 @@ fn or_none(text: &str) -> String {
 
 fn digest(hello: &ValueRef<'_>) -> String {
     let hello: Value = hello.to_owned();
-    let digest = Sha256::digest(encode(&hello));
-    digest[..8].iter().map(|byte| format!("{byte:02x}")).collect()
+    hex::encode(&Sha256::digest(encode(&hello))[..8])
 }
 
 #[cfg(test)]

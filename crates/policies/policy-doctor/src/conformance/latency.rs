@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::ConformanceError;
 use super::probe::Probe;
 use super::{CONCURRENCY, Target};
+use crate::verdict::percentile;
 
 const ROUNDS: u32 = 20;
 
@@ -65,11 +66,7 @@ impl Latency {
     /// `real_time_chunking` false.
     fn from_latencies(mut latencies: Vec<Duration>) -> Self {
         latencies.sort();
-        let percentile = |hundredths: usize| {
-            let index = (latencies.len() * hundredths).div_ceil(100).max(1) - 1;
-            let latency = latencies.get(index).copied().unwrap_or_default();
-            latency.as_secs_f64() * 1000.0
-        };
+        let percentile = |percent| percentile(&latencies, percent).as_secs_f64() * 1000.0;
         let mut delay_steps = BTreeMap::new();
         for &latency in &latencies {
             *delay_steps.entry(steps(latency)).or_default() += 1;

@@ -21,10 +21,8 @@ use tonic_health::pb::{
 };
 use transport::{Connection, Peer, ServerKind, Settings, parse_endpoint};
 
-use super::{
-    ConformanceError, QUERIES, Target, scene,
-    verdict::{self, Verdict},
-};
+use super::{ConformanceError, QUERIES, Target, scene, verdict::refused};
+use crate::verdict::{Verdict, fail, pass};
 
 const SETTINGS: Settings =
     Settings { address: "the URL", authority: "--ca", clear: "grpc://", encrypted: "https://" };
@@ -62,7 +60,7 @@ impl Probe {
             .tcp_nodelay(true)
             .initial_stream_window_size(STREAM_WINDOW_BYTES)
             .initial_connection_window_size(CONNECTION_WINDOW_BYTES);
-        let peer = Peer::new(endpoint.clone(), &target.access, ServerKind::Policy, SETTINGS);
+        let peer = Peer::new(&endpoint, ServerKind::Policy, SETTINGS);
         let connection = target.access.connect_lazy(endpoint)?;
         let mut client = PolicyClient::new(connection.clone())
             .max_decoding_message_size(proto::MAX_MESSAGE_BYTES)
@@ -72,7 +70,7 @@ impl Probe {
             Ok(response) => response.into_inner(),
             Err(status) => {
                 let url = target.shown.clone();
-                return Err(match peer.diagnose(&status).await {
+                return Err(match peer.diagnose(&status) {
                     Some(trouble) => ConformanceError::Connect { url, trouble: trouble.into() },
                     None => ConformanceError::Describe { url, status: status.into() },
                 });
@@ -88,9 +86,9 @@ impl Probe {
     pub(super) async fn other_version(&self) -> Verdict {
         let newer = proto::PROTOCOL_VERSION + 1;
         match self.client.clone().describe(describe(&self.target, newer)).await {
-            Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
-            Err(status) => verdict::refused(&status),
-            Ok(_) => verdict::fail(format!("it accepts a caller of protocol version {newer}")),
+            Err(status) if status.code() == Code::FailedPrecondition => pass(""),
+            Err(status) => refused(&status),
+            Ok(_) => fail(format!("it accepts a caller of protocol version {newer}")),
         }
     }
 
@@ -100,8 +98,8 @@ impl Probe {
         let request = HealthCheckRequest { service: SERVICE_NAME.to_owned() };
         let answer = HealthClient::new(self.connection.clone()).check(request).await?.into_inner();
         Ok(match answer.status() {
-            ServingStatus::Serving => verdict::pass(""),
-            other => verdict::fail(format!("it reports {}", other.as_str_name())),
+            ServingStatus::Serving => pass(""),
+            other => fail(format!("it reports {}", other.as_str_name())),
         })
     }
 
@@ -198,8 +196,8 @@ impl Probe {
 
     pub(super) async fn unopened(&self) -> Verdict {
         match self.infer("never opened", 0).await {
-            Err(_) => verdict::pass(""),
-            Ok(_) => verdict::fail("it answers without instruction and seed"),
+            Err(_) => pass(""),
+            Ok(_) => fail("it answers without instruction and seed"),
         }
     }
 

@@ -4,10 +4,10 @@ use std::time::Duration;
 
 use libero_ctrl::Suite;
 use policy_doctor::{
-    conformance::Verdict,
-    diagnosis::{Finding, Measures, Point, examine},
+    diagnosis::{Measures, Point, examine},
     server::Server,
     synthetic,
+    verdict::{Finding, Verdict},
 };
 use proto::policy::{Language, StateField};
 
@@ -19,17 +19,17 @@ use crate::{
 
 const MEASURES: Measures = Measures { answer_within: Duration::from_secs(50), episodes: 3 };
 
-async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
+async fn examined(url: &str, measures: Measures) -> Vec<Finding<Point>> {
     let spec = url.parse().expect("a back-end");
     let server = Server::connect(&spec, &transport::Access::none(), "libero_goal").await;
     let server = server.expect("a description");
     let cameras = synthetic::cameras(&[&server.described]);
     let situations = synthetic::situations(Suite::Goal, &cameras);
     let mut findings = vec![];
-    let mut report = |finding: &Finding| findings.push(finding.clone());
+    let mut report = |finding: &Finding<Point>| findings.push(finding.clone());
     let is_sound = examine(&server, &situations, &[], measures, &mut report).await;
     let is_sound = is_sound.expect("an examination");
-    let failed = |finding: &Finding| matches!(finding.verdict, Verdict::Fail { .. });
+    let failed = |finding: &Finding<Point>| finding.verdict.has_failed();
     assert_eq!(is_sound, !findings.iter().any(failed));
     let points: Vec<Point> = findings.iter().map(|finding| finding.point).collect();
     assert_eq!(points, Point::ALL);
@@ -154,6 +154,6 @@ async fn servers_without_mistakes_pass_every_check() {
         assert_eq!(failures(policy(), MEASURES).await, []);
     }
     let findings = examined("builtin:expert", MEASURES).await;
-    let failed = findings.iter().filter(|finding| matches!(finding.verdict, Verdict::Fail { .. }));
+    let failed = findings.iter().filter(|finding| finding.verdict.has_failed());
     assert_eq!(failed.count(), 0, "{findings:?}");
 }

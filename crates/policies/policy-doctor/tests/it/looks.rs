@@ -4,10 +4,10 @@ use std::path::Path;
 
 use libero_ctrl::{Look, Suite};
 use policy_backends::recording::{Pair, Writer};
-use policy_doctor::conformance::Verdict;
 use policy_doctor::looks::{RecordedLook, examine, sessions};
 use policy_doctor::server::Server;
 use policy_doctor::synthetic;
+use policy_doctor::verdict::Verdict;
 use proto::policy::{
     InferRequest, InferResponse, Observation, ResetRequest, policy_client::PolicyClient,
 };

@@ -10,7 +10,7 @@ use std::{
     },
 };
 
-use policy_doctor::conformance::{self, Point, Target, Verdict};
+use policy_doctor::conformance::{self, Point, Target};
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
     InferBatchResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
@@ -222,7 +222,7 @@ pub(crate) async fn failures(server: &Running, policy: &str) -> Vec<Point> {
     };
     let mut failed = vec![];
     let conforms = conformance::check(&target, &mut |finding| {
-        if let Verdict::Fail { .. } = finding.verdict {
+        if finding.verdict.has_failed() {
             failed.push(finding.point);
         }
     })

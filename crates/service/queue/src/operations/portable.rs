@@ -118,7 +118,7 @@ impl Portable {
         let campaign = campaign.clone();
         let spec = campaigns::spec(&mut view, campaign.id).await?;
         drop(view);
-        if hex(&Sha256::digest(spec.as_bytes())) != campaign.spec_digest {
+        if hex::encode(Sha256::digest(spec.as_bytes())) != campaign.spec_digest {
             return Err(PortableError::SpecDigest { campaign: campaign.name });
         }
         Ok(Portable { store, campaign, spec })
@@ -465,7 +465,7 @@ async fn outcomes_digest(
         };
         digest.update(format!("{} {} {outcome}\n", row.rollout_id, row.replicate));
     }
-    Ok(hex(&digest.finalize()))
+    Ok(hex::encode(digest.finalize()))
 }
 
 async fn move_films(from: &Path, films: &[FilmFile], to: &Path) -> Result<(), AdoptError> {
@@ -483,8 +483,4 @@ async fn move_films(from: &Path, films: &[FilmFile], to: &Path) -> Result<(), Ad
         moved.map_err(failed(&path))?;
     }
     Ok(())
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -15,7 +15,7 @@ use crate::error::{AssetsError, write_error};
 use crate::http::RequestError;
 use crate::origin::{Member, Origin, Parcel, Stream};
 use crate::progress::{Progress, Report};
-use crate::verify::{VerifiedFolder, hex};
+use crate::verify::VerifiedFolder;
 
 pub(super) const MAX_TRIES: u32 = 5;
 /// Files with gaps up to this size between them are requested together.
@@ -249,7 +249,7 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
         let expected = member.file.bytes;
         return Ok(Some(format!("the file does not have the expected size of {expected} bytes")));
     }
-    let (found, expected) = (hex(&hash.finalize()), member.file.sha256);
+    let (found, expected) = (hex::encode(hash.finalize()), member.file.sha256);
     let differs = found != expected;
     Ok(differs.then(|| format!("the SHA-256 is {found} and should be {expected}")))
 }

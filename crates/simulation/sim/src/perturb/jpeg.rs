@@ -229,8 +229,7 @@ mod tests {
         let check = |width: usize, height: usize, quality, expected: &str| {
             let mut rgb: Vec<u8> = (0..width * height * 3).map(|i| (i * i % 251) as u8).collect();
             round_trip(&mut rgb, width, height, quality);
-            let digest = Sha256::digest(&rgb);
-            let digest: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+            let digest = hex::encode(&Sha256::digest(&rgb)[..8]);
             assert_eq!(digest, expected, "{width} x {height} at {quality}");
         };
         check(32, 20, 10, "961d1c801cfe51f4");

@@ -57,7 +57,7 @@ impl Generator {
         for word in state.words {
             hash.update(word.to_le_bytes());
         }
-        let hex = hash.finalize().iter().map(|b| format!("{b:02x}")).collect();
+        let hex = hex::encode(hash.finalize());
         Self {
             words_sha256: hex,
             position: state.position,

@@ -1,38 +1,17 @@
+use std::sync::LazyLock;
+
 use prost::Message;
 use proto::coordinator as wire;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rollout_types::AttemptId;
 
+use crate::call::methods;
+
 /// All methods; an input selects one by its index.
-pub(super) const METHODS: [&str; 26] = [
-    "WorkerService/Register",
-    CLAIM,
-    "WorkerService/Heartbeat",
-    "WorkerService/Commit",
-    "WorkerService/Release",
-    "WorkerService/PutArtifact",
-    "WorkerService/NextFilm",
-    "OperatorService/CreateCampaign",
-    "OperatorService/ListCampaigns",
-    "OperatorService/GetCampaign",
-    "OperatorService/ChangeCampaign",
-    "OperatorService/DeleteCampaign",
-    "OperatorService/ListJobs",
-    "OperatorService/GetJob",
-    "OperatorService/RetryJobs",
-    "OperatorService/ListWorkers",
-    "OperatorService/Backup",
-    "OperatorService/Report",
-    "OperatorService/Export",
-    "OperatorService/AlterCampaign",
-    "OperatorService/Forecast",
-    "WorkerService/SignOff",
-    "OperatorService/ArchiveCampaign",
-    "OperatorService/ImportCampaign",
-    "OperatorService/SkipJobs",
-    "OperatorService/AppendRows",
-];
+pub(super) static METHODS: LazyLock<Vec<String>> = LazyLock::new(|| {
+    methods(include_str!("../../../../../proto/rollout/coordinator/v1/coordinator.proto"))
+});
 
 /// The only method that may wait before it answers, namely for a job.
 pub(super) const CLAIM: &str = "WorkerService/Claim";

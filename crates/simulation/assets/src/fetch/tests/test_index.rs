@@ -12,7 +12,6 @@ use flate2::write::DeflateEncoder;
 use sha2::{Digest, Sha256};
 
 use crate::table::{Table, Text};
-use crate::verify::hex;
 
 /// A large file, the first one in the first wheel.
 pub(super) const LARGE: &str = "scenes/large texture.png";
@@ -88,7 +87,7 @@ impl Wheels {
             let mut encoder = DeflateEncoder::new(whole, Compression::default());
             encoder.write_all(&content).expect("into memory");
             let stored = encoder.finish().expect("into memory").len() - offset;
-            let sha256 = hex(&Sha256::digest(&content));
+            let sha256 = hex::encode(Sha256::digest(&content));
             let (size, wheel) = (content.len(), wheel + 1);
             files += &format!("{path}\t{size}\t{sha256}\t{wheel}\t{offset}\t{stored}\n");
         }
@@ -96,7 +95,7 @@ impl Wheels {
         for (wheel, bytes) in bytes.iter_mut().enumerate() {
             bytes.extend_from_slice(b"the directory of the archive");
             let (name, size) = (Self::name(wheel), bytes.len());
-            let sha256 = hex(&Sha256::digest(&bytes));
+            let sha256 = hex::encode(Sha256::digest(&bytes));
             wheels += &format!("part-{wheel}\t1.0\t{name}\t{size}\t{sha256}\n");
         }
         let text =

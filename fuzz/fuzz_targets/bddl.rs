@@ -1,7 +1,0 @@
-//! BDDL files. The checks are in `untrusted_input`.
-
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (untrusted_input::named("bddl").run)(input);
-});

@@ -1,7 +1,0 @@
-//! Answers of policy servers to the gateway. The checks are in `untrusted_input`.
-
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (untrusted_input::named("policy_answer").run)(input);
-});

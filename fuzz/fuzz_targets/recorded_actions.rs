@@ -1,7 +1,0 @@
-//! Recorded actions. The checks are in `untrusted_input`.
-
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (untrusted_input::named("recorded_actions").run)(input);
-});

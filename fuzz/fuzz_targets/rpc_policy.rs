@@ -1,7 +1,0 @@
-//! Arbitrary calls of the gateway's methods. The checks are in `untrusted_input`.
-
-#![no_main]
-
-libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (untrusted_input::named("rpc_policy").run)(input);
-});
