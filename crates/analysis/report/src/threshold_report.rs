@@ -333,7 +333,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
         );
         push_wrapped(text, "", &words);
     }
-    let latency = curves.iter().find(|curve| curve.condition == Condition::Latency);
+    let latency = curves.iter().find(|curve| curve.condition.sets_execution());
     if let Some(words) = latency.map(|curve| tolerated_delay(curve)) {
         push_wrapped(text, "", &words);
     }

@@ -35,11 +35,10 @@ fn columns<'a>() -> Vec<Column<'a, Row<'a>>> {
         ("init_id", Number, |(_, m)| Value::Number(m.init_id.into())),
         ("nominal", Bool, |(_, m)| Value::Bool(m.nominal.success())),
     ]);
-    let alone = Axis::ALL.into_iter().map(|axis| -> Column<'a, Row<'a>> {
+    let alone = Axis::every().map(|axis| -> Column<'a, Row<'a>> {
         (axis.name().to_owned(), Bool, Box::new(move |(_, m)| alone(m, axis)))
     });
     let joint: Vec<Column<'a, Row<'a>>> = form::columns([
-        ("latency", Bool, |(_, m)| Value::Bool(m.latency.and_then(Outcome::success))),
         ("conjunction", Bool, |(_, m)| Value::Bool(m.configuration().map(|c| c.conjunction()))),
         ("combination", Bool, |(_, m)| Value::Bool(m.simultaneous.success())),
         ("transition", Text, |(_, m)| {
@@ -78,14 +77,12 @@ fn unresolved((analysis, matched): &Row<'_>) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
     let simultaneous = analysis.records.has_simultaneous();
     let simultaneous = simultaneous.then_some(Condition::Combination);
-    let unresolved = alone
-        .chain(matched.latency.map(|_| Condition::Latency))
-        .chain(simultaneous)
-        .filter_map(|condition| match matched.outcome(condition) {
-            Outcome::Missing => Some(format!("{condition} missing")),
-            Outcome::Quarantined => Some(format!("{condition} quarantined")),
-            Outcome::Success | Outcome::Failure => None,
-        });
+    let conditions = alone.chain(simultaneous);
+    let unresolved = conditions.filter_map(|condition| match matched.outcome(condition) {
+        Outcome::Missing => Some(format!("{condition} missing")),
+        Outcome::Quarantined => Some(format!("{condition} quarantined")),
+        Outcome::Success | Outcome::Failure => None,
+    });
     let unresolved: Vec<String> = unresolved.collect();
     Value::Text((!unresolved.is_empty()).then(|| unresolved.join(", ")))
 }
