@@ -66,77 +66,58 @@ pub enum Radii {
 /// The protocol's axes in the order of the reference implementation, then further ones.
 pub const AXES: &[AxisDef] = &[
     AxisDef {
-        axis: Axis::Camera,
-        name: "camera",
-        about: "pose of the `agentview` camera",
-        is_combined: true,
-        acts_on: ActsOn::Scene,
-        is_random: false,
-        radii: Radii::Any,
         parameters: &CameraShift::PARAMETERS,
+        ..define(Axis::Camera, "camera", ActsOn::Scene, "pose of the `agentview` camera")
     },
     AxisDef {
-        axis: Axis::Lighting,
-        name: "lighting",
-        about: "lights and the headlight's ambient term",
-        is_combined: true,
-        acts_on: ActsOn::Scene,
-        is_random: false,
-        radii: Radii::Any,
         parameters: &LightingShift::PARAMETERS,
+        ..define(
+            Axis::Lighting,
+            "lighting",
+            ActsOn::Scene,
+            "lights and the headlight's ambient term",
+        )
     },
     AxisDef {
-        axis: Axis::Robot,
-        name: "robot",
-        about: "initial pose of the end-effector",
-        is_combined: true,
-        acts_on: ActsOn::Scene,
-        is_random: false,
-        radii: Radii::Any,
         parameters: &RobotShift::PARAMETERS,
+        ..define(Axis::Robot, "robot", ActsOn::Scene, "initial pose of the end-effector")
     },
     AxisDef {
-        axis: Axis::Sensor,
-        name: "sensor",
-        about: "corruption of the rendered pictures",
-        is_combined: true,
-        acts_on: ActsOn::Pictures,
         is_random: true,
-        radii: Radii::Any,
         parameters: &SensorCorruption::PARAMETERS,
+        ..define(Axis::Sensor, "sensor", ActsOn::Pictures, "corruption of the rendered pictures")
     },
     AxisDef {
-        axis: Axis::Actuation,
-        name: "actuation",
-        about: "distortion of the actions on their way to the controller",
-        is_combined: true,
-        acts_on: ActsOn::Actions,
         is_random: true,
-        radii: Radii::Any,
         parameters: &ActuationDistortion::PARAMETERS,
+        ..define(
+            Axis::Actuation,
+            "actuation",
+            ActsOn::Actions,
+            "distortion of the actions on their way to the controller",
+        )
     },
     AxisDef {
-        axis: Axis::Language,
-        name: "language",
-        about: "paraphrase of the instruction",
-        is_combined: true,
-        acts_on: ActsOn::Instruction,
-        is_random: false,
         radii: Radii::Named,
-        parameters: &[],
+        ..define(Axis::Language, "language", ActsOn::Instruction, "paraphrase of the instruction")
     },
     AxisDef {
-        axis: Axis::Latency,
-        name: "latency",
-        about: "delay of the policy's answers, by 1, 2 and 4 control steps at L1, L2 and L3, and by \
-                R/2 at any other radius R",
         is_combined: false,
-        acts_on: ActsOn::Answers,
-        is_random: false,
         radii: Radii::Multiples(1.0 / STEPS_PER_RADIUS),
-        parameters: &[],
+        ..define(
+            Axis::Latency,
+            "latency",
+            ActsOn::Answers,
+            "delay of the policy's answers by R/2 control steps at radius R: 1, 2, 4 at L1, L2, L3",
+        )
     },
 ];
+
+/// Returns a combined axis without random values and parameters, at any radius.
+const fn define(axis: Axis, name: &'static str, acts_on: ActsOn, about: &'static str) -> AxisDef {
+    let (is_random, radii, parameters) = (false, Radii::Any, &[]);
+    AxisDef { axis, name, about, is_combined: true, acts_on, is_random, radii, parameters }
+}
 
 impl AxisDef {
     /// True if the first observation of a rollout shows the axis.
@@ -157,10 +138,10 @@ impl Radii {
 
 impl Axis {
     /// The protocol's six axes, which *simultaneous* perturbs.
-    pub const ALL: [Self; 6] = combined(false);
+    pub const ALL: [Self; 6] = protocol(false);
 
     /// The protocol's axes with numeric parameters: all except language.
-    pub const METRIC: [Self; 5] = combined(true);
+    pub const METRIC: [Self; 5] = protocol(true);
 
     /// Returns every axis, also those that are perturbed only alone.
     pub fn every() -> impl Iterator<Item = Self> + Clone {
@@ -177,7 +158,7 @@ impl Axis {
     }
 }
 
-const fn combined<const N: usize>(only_metric: bool) -> [Axis; N] {
+const fn protocol<const N: usize>(only_metric: bool) -> [Axis; N] {
     let (mut axes, mut count, mut i) = ([Axis::Camera; N], 0, 0);
     while i < AXES.len() {
         if AXES[i].is_combined && !(only_metric && AXES[i].parameters.is_empty()) {
