@@ -19,7 +19,6 @@ mod layout;
 mod log_in;
 mod metrics;
 mod overviews;
-mod perturbation;
 mod problem;
 mod rollouts;
 mod single_flight;

@@ -4,6 +4,7 @@ module only arranges their JSON and their table (docs/REPORT.md defines each fig
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -35,11 +36,11 @@ PAIRED = {
     **of(COUNT, "b c"), **of(NUMBER, "emergent_share mcnemar_p"), **of(TEXT, "no_interval"),
 }  # fmt: skip
 
-#: Columns of `coordinator report --table`, with the types of its Parquet files.
+#: Columns of `coordinator report --table`, with the types of its Parquet files; all others are
+#: outcomes.
 CONFIGURATIONS = {
     **of(TEXT, "policy origin"), **of(COUNT, "replicate"), **of(TEXT, "level suite"),
     **of(COUNT, "task config init_id"),
-    **of(OUTCOME, " ".join(("nominal", *AXES, "latency conjunction combination"))),
     **of(TEXT, "transition unresolved"),
     **{
         f"{condition}_{column}": type_
@@ -120,7 +121,7 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
     _require_campaigns(connection, sources)
     names = [source for source in sources if isinstance(source, str)]
     files = [flag for path in sources if isinstance(path, Path) for flag in ("--from", path)]
-    types: dict[Any, Any] = dict(CONFIGURATIONS)
+    types: dict[Any, Any] = defaultdict(lambda: OUTCOME, CONFIGURATIONS)
     with TemporaryDirectory(prefix="rollout-") as folder:
         table = Path(folder) / "configurations.csv"
         command = ("report", *names, "--json", *files, "--table", table)

@@ -11,7 +11,7 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use libero_ctrl::{Condition, ManifestRow, Realisation, RolloutId, TaskRef};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef};
 use libero_family::pro::STATES;
 use libero_family::protocol::Protocol;
 use scene::{AssetPack, Sources, TaskFiles};
@@ -187,7 +187,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, Some(id)) => row(id, arguments.protocol, arguments.suite_file.as_deref())?,
         (None, None) => unreachable!("clap requires --id or --bddl"),
     };
-    if row.id.condition() == Condition::Latency && !arguments.execution.is_wait() {
+    if row.id.condition().sets_execution() && !arguments.execution.is_wait() {
         bail!(
             "run {} under execution model {}: its axis is the policy's delay, {}; leave out \
              --execution",

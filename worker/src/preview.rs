@@ -8,8 +8,8 @@ mod sheet;
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::{
-    Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef, paraphrase,
-    presets,
+    ActsOn, Axis, AxisSet, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId,
+    TaskRef, paraphrase, row_of,
 };
 use sheet::Sheet;
 use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
@@ -62,7 +62,7 @@ pub fn write(
         Ok::<(), PreviewError>(())
     };
     save("grid.png".to_owned(), &grid(simulator, request)?)?;
-    for axis in Axis::METRIC {
+    for axis in Axis::every().filter(|axis| !axis.def().parameters.is_empty()) {
         save(format!("presets_{axis}.png"), &presets_sheet(simulator, request, axis)?)?;
     }
     let path = folder.join("actuation_paths.svg");
@@ -79,7 +79,8 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
 /// Renders the grid: one row for each axis alone and one for the combination, with a column for
 /// the nominal scene and for each severity. The language axis is shown as text.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, PreviewError> {
-    let rows = Axis::ALL.map(Condition::Single).into_iter().chain([Condition::Combination]);
+    let seen = Axis::every().filter(|axis| axis.def().acts_on != ActsOn::Answers);
+    let rows = seen.map(Condition::Single).chain([Condition::Combination]);
     let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME as usize);
     for condition in rows {
         if condition == Condition::Single(Axis::Language) {
@@ -119,7 +120,7 @@ fn presets_sheet(
 }
 
 /// Renders the policy's first view in the rollout of a manifest row. Actuation shows only in
-/// motion: for a condition with actuation, the view after a fixed motion is rendered, also of the
+/// motion: for a condition that changes actions, the view after a fixed motion is rendered, also of the
 /// nominal rollout beside it.
 fn picture(
     simulator: &mut Simulator,
@@ -128,9 +129,8 @@ fn picture(
 ) -> Result<Picture, PreviewError> {
     let mut episode = simulator.begin(row, request.realisation)?;
     episode.settle()?;
-    let has_motion =
-        matches!(row.id.condition(), Condition::Single(Axis::Actuation) | Condition::Combination);
-    if has_motion {
+    let changes_actions = |axis: Axis| axis.def().acts_on == ActsOn::Actions;
+    if row.id.condition().axes(AxisSet::ALL).axes().any(changes_actions) {
         for step in 0..MOTION_STEPS {
             episode.step(&motion(step))?;
         }
@@ -148,20 +148,13 @@ fn upright_view(episode: &mut Episode<'_>) -> Result<Picture, SimError> {
 /// Returns a condition's row. Without a level the row is unperturbed, but has the initial state and
 /// id of the perturbed row at L1, so that only the perturbation differs.
 fn row(task: TaskRef, condition: Condition, level: Option<Level>, config: u16) -> ManifestRow {
-    let mut perturbation = Perturbation::default();
-    if let Some(level) = level {
-        let axes = match condition {
-            Condition::Single(axis) => vec![axis],
-            _ => Axis::METRIC.to_vec(),
-        };
-        for axis in axes {
-            presets::apply_preset(&mut perturbation, axis, level, config);
-        }
-    }
     let id = RolloutId::perturbed(task, condition, level.unwrap_or(Level::L1), config)
         .expect("a perturbed condition with a severity");
-    let init_id = task.eval_init_ids()[usize::from(config)];
-    ManifestRow::new(id, config, init_id, perturbation)
+    let row = row_of(id).expect("a row of the protocol");
+    match level {
+        Some(_) => row,
+        None => ManifestRow { perturbation: Perturbation::default(), ..row },
+    }
 }
 
 /// Returns the action of a step in a descending circle, which shows gain, bias and misalignment.

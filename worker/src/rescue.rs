@@ -106,7 +106,7 @@ pub fn run(
     output: &Path,
 ) -> Result<Rescue, RescueError> {
     let id = assignment.row.id;
-    if matches!(id.condition(), Condition::Clean | Condition::Latency) {
+    if id.condition() == Condition::Clean || id.condition().sets_execution() {
         return Err(RescueError::NotPerturbed(id));
     }
     let write = |path: &Path, source| RescueError::Write { path: path.to_owned(), source };

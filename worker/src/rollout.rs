@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use libero_ctrl::{Condition, Execution, Query, Schedule};
+use libero_ctrl::{Execution, Query, Schedule};
 use proto::policy as wire;
 use rollout_types::{EXECUTION, GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
 use sha2::{Digest, Sha256};
@@ -138,7 +138,7 @@ pub(crate) fn run_resumed(
     // An execution model that drops all answers of the policy is a mistake in the campaign. On the
     // latency axis it is an outcome: the policy cannot cope with that delay, and its arm holds
     // still.
-    if row.id.condition() != Condition::Latency {
+    if !row.id.condition().sets_execution() {
         row.execution.check(description.horizon).map_err(|problem| PolicyError::TooLate {
             policy: assignment.policy.clone(),
             problem,

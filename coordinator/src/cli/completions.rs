@@ -24,7 +24,8 @@ pub(super) fn completions(
     clap_complete::generate(arguments.shell, &mut command, "coordinator", &mut script);
     let mut script = String::from_utf8_lossy(&script).into_owned();
     if arguments.shell == Shell::Bash {
-        let axes = Axis::ALL.map(Axis::name).join(" ") + " latency metric all none";
+        let axes: Vec<&str> = Axis::every().map(Axis::name).collect();
+        let axes = axes.join(" ") + " metric all none";
         let suites = Suite::ALL.map(Suite::name).join(" ") + " all";
         let names = [("AXES", axes.as_str()), ("LEVELS", "L0 L1 L2 L3"), ("SUITES", &suites)];
         let mut of_names = NAMES.to_owned();

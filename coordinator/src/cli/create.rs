@@ -11,10 +11,10 @@ use clap::{ArgGroup, Args};
 use coordinator::client::Service;
 use coordinator::video_estimate;
 use libero_ctrl::{
-    Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution, ExecutionError,
-    Level, Look, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo, PolicyRoute,
-    Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName,
-    Wanted, select_tasks,
+    AXES, Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution,
+    ExecutionError, Level, Look, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo,
+    PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef,
+    UnknownName, Wanted, select_tasks,
 };
 use proto::coordinator::CreateCampaignRequest;
 use queue::Created;
@@ -224,11 +224,7 @@ struct StopFlags {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
-    /// Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, or
-    /// `none`. `latency`, appended after a comma, delays the policy's answers and is never
-    /// combined with other axes: by 1, 2 and 4 control steps at L1, L2 and L3, and by R/2 at any
-    /// other radius R.
-    #[arg(long, value_delimiter = ',', default_value = "metric")]
+    #[arg(long, help = axes_help(), value_delimiter = ',', default_value = "metric")]
     axes: Vec<String>,
     /// Further conditions of several axes: names joined by +, such as `camera+robot`; `pairs`; or
     /// `all`, every subset of the axes.
@@ -431,27 +427,36 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
     Ok(spec)
 }
 
+fn axes_help() -> String {
+    let others = AXES.iter().filter(|def| !def.is_combined);
+    let others: Vec<String> = others.map(|def| format!("`{}`, {}", def.name, def.about)).collect();
+    format!(
+        "Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, \
+         or `none`. Appended after a comma, and never combined with other axes: {}",
+        others.join("; ")
+    )
+}
+
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
-    let mut axis_names = arguments.design.axes.clone();
-    let is_latency = |name: &String| name == "latency";
-    let latency = axis_names.iter().any(is_latency);
-    axis_names.retain(|name| !is_latency(name));
-    let axes = match axis_names.join(",").as_str() {
-        "metric" => Axis::METRIC.to_vec(),
-        "all" => Axis::ALL.to_vec(),
-        "none" | "" => Vec::new(),
-        _ => parse_names(&axis_names)?,
-    };
+    let mut axes = Vec::new();
+    for name in &arguments.design.axes {
+        match name.as_str() {
+            "metric" => axes.extend(Axis::METRIC),
+            "all" => axes.extend(Axis::ALL),
+            "none" | "" => {}
+            name => axes.push(name.parse()?),
+        }
+    }
     // A design without axes has no perturbation to which a level could apply.
-    let levels: Vec<Level> = match axes.is_empty() && !latency {
+    let levels: Vec<Level> = match axes.is_empty() {
         true => Vec::new(),
         false => parse_names(&arguments.design.levels)?,
     };
-    let subsets = subsets(&arguments.design.subsets, axes.iter().copied().collect())?;
+    let combined = axes.iter().copied().collect::<AxisSet>().combined();
+    let subsets = subsets(&arguments.design.subsets, combined)?;
     let design = Design {
         tasks: tasks(&arguments.flags.tasks)?,
         axes,
-        latency,
         subsets,
         levels,
         configs: configs(&arguments.design.configs)?,

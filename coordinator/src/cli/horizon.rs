@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use libero_ctrl::{CampaignSpec, Condition, Delays, Execution, Level, Rollouts, delay_at};
+use libero_ctrl::{CampaignSpec, Condition, Execution, Level, Rollouts, execution_at};
 use proto::PROTOCOL_VERSION;
 use proto::policy::DescribeRequest;
 use proto::policy::policy_client::PolicyClient;
@@ -100,18 +100,19 @@ pub(super) async fn check(
 /// own model, if that is `overlap`, and those of the latency axis, the longest delay last.
 fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
     let levels: BTreeSet<Level> = match &spec.rollouts {
-        Rollouts::Design(design) if design.latency => design.levels.iter().copied().collect(),
+        Rollouts::Design(design)
+            if design.conditions().into_iter().any(Condition::sets_execution) =>
+        {
+            design.levels.iter().copied().collect()
+        }
         Rollouts::Manifest(rows) => {
             let ids = rows.iter().map(|row| row.id);
-            let latency_ids = ids.filter(|id| id.condition() == Condition::Latency);
+            let latency_ids = ids.filter(|id| id.condition().sets_execution());
             latency_ids.map(|id| id.level()).collect()
         }
         _ => BTreeSet::new(),
     };
-    let latency_models = levels.into_iter().filter_map(|level| {
-        let delays = Delays::fixed(delay_at(level)?)?;
-        Some(Execution::Overlap { delays, rtc: false })
-    });
+    let latency_models = levels.into_iter().filter_map(execution_at);
     let model = Some(spec.execution.clone());
     let model = model.filter(|model| matches!(model, Execution::Overlap { .. }));
     model.into_iter().chain(latency_models).collect()

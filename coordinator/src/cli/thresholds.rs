@@ -31,8 +31,8 @@ pub(super) struct ThresholdsArguments {
     /// Name of the campaign that runs the further radii. [default: CAMPAIGN-thresholds]
     #[arg(long)]
     name: Option<String>,
-    /// Axes, each alone, `latency`, and `simultaneous` for all axes at once. [default: all
-    /// conditions of the campaign]
+    /// Axes, each alone, and `simultaneous` for all axes at once. [default: all conditions of the
+    /// campaign]
     #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = condition)]
     axes: Vec<Condition>,
     /// Largest width of the bracket between success and failure, in units of radius. [default: 0.5]
@@ -138,9 +138,7 @@ impl ThresholdsArguments {
 
 fn condition(text: &str) -> Result<Condition, &'static str> {
     match text.parse() {
-        Ok(Condition::Clean) | Err(_) => {
-            Err("write axes such as camera,robot, latency, or simultaneous")
-        }
+        Ok(Condition::Clean) | Err(_) => Err("write axes such as camera,robot, or simultaneous"),
         Ok(condition) => Ok(condition),
     }
 }

@@ -353,7 +353,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
 fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
     let mut realised = Realised::default();
     for wire::RealisedAxis { axis: name, parameters, elements } in axes {
-        let axis = name.parse().ok().filter(|axis| Axis::METRIC.contains(axis));
+        let axis = name.parse().ok().filter(|axis: &Axis| !axis.def().parameters.is_empty());
         let values = parameters.iter().chain(&elements);
         let fits =
             values.clone().count() <= MAX_REALISED_VALUES && values.copied().all(f64::is_finite);

@@ -1,14 +1,13 @@
 //! Card of one rollout on a configuration's page: outcome, video, perturbation, failed attempts and
 //! provenance.
 
-use libero_ctrl::{Axis, Condition, ManifestRow, RolloutId, seeds};
+use libero_ctrl::{Axis, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 use queue::rules::lease::FailureReason;
 use terminal::counted;
 
 use super::layout::breakable;
-use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
 
@@ -137,16 +136,12 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
 /// Renders the execution model unless it is `wait`, the instruction if it differs from the task's,
 /// and the perturbation of each axis.
 fn perturbation_values(shown: &ShownRollout) -> Markup {
-    let mut perturbed_axes = shown.row.perturbation.axes();
-    perturbed_axes.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
-    let axes = shown.id.condition().axes(perturbed_axes.into_iter().collect());
-    let axes: Vec<Axis> = axes.axes().collect();
+    let axes: Vec<Axis> = shown.row.axes().axes().collect();
     // The row's instruction is empty if only the variant's BDDL file holds it.
     let instruction = &shown.row.instruction;
     let is_different = !instruction.is_empty() && *instruction != shown.id.task().instruction();
     let values = |axis| {
-        let lines = perturbation::lines(&shown.row, axis);
-        html! { ul.values { @for line in lines { li { (line) } } } }
+        html! { ul.values { @for line in shown.row.describe(axis) { li { (line) } } } }
     };
     html! {
         @if !shown.row.execution.is_wait() {
@@ -163,9 +158,6 @@ fn perturbation_values(shown: &ShownRollout) -> Markup {
                         None => p.muted { "Suite " code { (variant.change()) } },
                     }
                 }
-            }
-            [] if shown.id.condition() == Condition::Latency => {
-                p.muted { "The policy's answers are delayed; nothing else is perturbed." }
             }
             [] => p.muted { "Nothing is perturbed." },
             [axis] => (values(*axis)),

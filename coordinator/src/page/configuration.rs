@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use libero_ctrl::{AxisSet, Condition, ManifestRow, RolloutId};
+use libero_ctrl::{Axis, AxisSet, Condition, ManifestRow, RolloutId};
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
 use queue::ids::{JobId, shortened};
@@ -140,7 +140,8 @@ fn siblings(requested: RolloutId) -> Vec<String> {
     // compared.
     let subset_conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let conditions = [Condition::Combination].into_iter().chain(subset_conditions);
-    let conditions = conditions.chain([Condition::Latency]);
+    let others = Axis::every().filter(|axis| !axis.def().is_combined);
+    let conditions = conditions.chain(others.map(Condition::Single));
     let id =
         |condition| RolloutId::perturbed(requested.task(), condition, requested.level(), config);
     let ids = conditions.filter_map(|condition| id(condition).ok());

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use libero_ctrl::{Condition, RolloutId, delay_at};
+use libero_ctrl::{RolloutId, delay_at};
 use paired::Outcome;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
@@ -16,7 +16,7 @@ use crate::search::{PATIENCE, run_all, searched};
 const MAX_DELAY: u16 = 3;
 
 fn outcome(id: &RolloutId) -> Outcome {
-    let is_late = id.condition() == Condition::Latency;
+    let is_late = id.condition().sets_execution();
     Outcome::from(!is_late || delay_at(id.level()).is_some_and(|delay| delay <= MAX_DELAY))
 }
 
@@ -45,7 +45,7 @@ async fn latency_is_a_separate_condition() {
     let mut is_refused_once = false;
     for lease in worker.claim(64).await {
         let id: RolloutId = rollout_id(&lease).parse().expect("an id");
-        if !is_refused_once && id.condition() == Condition::Latency {
+        if !is_refused_once && id.condition().sets_execution() {
             is_refused_once = true;
             let mut report = worker.report(&lease, true);
             let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
@@ -81,7 +81,7 @@ async fn latency_is_a_separate_condition() {
     let cells = report["reports"][0]["cells"].as_array().expect("cells");
     for (cell, successes) in cells.iter().zip([4, 0]) {
         let count = json!({"successes": successes, "n": 4});
-        assert_eq!(cell["latency"]["count"], count, "{cell}");
+        assert_eq!(cell["alone"]["latency"]["count"], count, "{cell}");
         assert_eq!((&cell["paired"]["n"], &cell["paired"]["s_conj"]), (&json!(4), &json!(1.0)));
     }
     let notes = report["reports"][0]["notes"].to_string();

@@ -99,8 +99,9 @@ impl Bounds {
         let (mut n, mut affected) = (0, 0);
         let mut ranges = Ranges::default();
         for matched in configurations {
-            let outcomes = matched.alone.values().chain([&matched.simultaneous]);
-            let quarantined = outcomes.copied().any(|outcome| outcome == Outcome::Quarantined);
+            let outcomes = matched.combined().map(|(_, outcome)| outcome);
+            let mut outcomes = outcomes.chain([matched.simultaneous]);
+            let quarantined = outcomes.any(|outcome| outcome == Outcome::Quarantined);
             if ranges.add(matched).is_some() {
                 n += 1;
                 affected += u64::from(quarantined);
@@ -115,7 +116,7 @@ impl Ranges {
     fn add(&mut self, matched: &Matched) -> Option<()> {
         let simultaneous = Possible::new(matched.simultaneous)?;
         let mut alone = BTreeMap::new();
-        for (&axis, &outcome) in &matched.alone {
+        for (axis, outcome) in matched.combined() {
             alone.insert(axis, Possible::new(outcome)?);
         }
         let mut conjunction = Possible { is_certain: true, is_possible: true };

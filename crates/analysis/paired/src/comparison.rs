@@ -295,7 +295,9 @@ fn has_either(pair: &Pair, outcome: Outcome) -> bool {
 fn axes(records: &[Record]) -> BTreeMap<Level, BTreeSet<Axis>> {
     let mut axes: BTreeMap<Level, BTreeSet<Axis>> = BTreeMap::new();
     for record in records {
-        if let Condition::Single(axis) = record.id.condition() {
+        if let Condition::Single(axis) = record.id.condition()
+            && axis.def().is_combined
+        {
             axes.entry(record.id.level()).or_default().insert(axis);
         }
     }

@@ -121,9 +121,8 @@ fn cell(
     nominal_rate: Option<f64>,
     bootstrap: &Bootstrap,
 ) -> Cell {
-    let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
-    let has_latency = matched.iter().any(|matched| matched.latency.is_some());
-    conditions.extend(has_latency.then_some(Condition::Latency));
+    let axes = matched[0].alone.keys().copied();
+    let mut conditions: Vec<Condition> = axes.clone().map(Condition::Single).collect();
     if records.has_simultaneous {
         conditions.push(Condition::Combination);
     }
@@ -145,7 +144,7 @@ fn cell(
     let complete: Vec<Configuration> = matched.iter().filter_map(Matched::configuration).collect();
     let solvable = matched.iter().filter(|m| m.nominal == Outcome::Success);
     let solvable: Vec<Configuration> = solvable.filter_map(Matched::configuration).collect();
-    let alone = records.axes().map(|axis| {
+    let alone = axes.map(|axis| {
         let count = counts[&Condition::Single(axis)];
         (axis, SingleAxis::new(count, nominal_rate))
     });
@@ -162,7 +161,6 @@ fn cell(
     Cell {
         level: matched[0].level,
         alone: alone.collect(),
-        latency: has_latency.then(|| SingleAxis::new(counts[&Condition::Latency], nominal_rate)),
         subsets: subsets(matched),
         simultaneous: counts.get(&Condition::Combination).copied(),
         by_replicate: by_replicate(&simultaneous),

@@ -276,7 +276,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
             // A share of 0 among a few rollouts gives no upper bound of chance.
             let flips = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
             let bound = flips.map_or_else(String::new, |(subject, flips)| {
-                let [r_d, _] = chance_bounds(flips, cell.alone.len());
+                let [r_d, _] = chance_bounds(flips, report.axes.len());
                 format!(
                     " {subject} in {} %, and chance of that size can change up to {} % of the \
                      outcomes by itself.",

@@ -85,11 +85,9 @@ pub struct Matched {
     /// Outcome of the nominal rollout from the same initial state; also missing if the
     /// campaign runs no nominal rollouts.
     pub nominal: Outcome,
-    /// Outcome under each axis alone, for all axes of the campaign.
+    /// Outcome under each axis alone, for all axes of the campaign; an axis that is not combined is
+    /// absent at levels at which the campaign does not run it.
     pub alone: BTreeMap<Axis, Outcome>,
-    /// Outcome under the latency axis, which no conjunction includes; `None` if the campaign does
-    /// not run the latency axis at this level.
-    pub latency: Option<Outcome>,
     /// Outcomes under proper subsets of two or more axes, as far as recorded.
     pub subsets: BTreeMap<AxisSet, Outcome>,
     /// Outcome under simultaneous perturbation; also missing if the campaign runs no
@@ -141,11 +139,17 @@ impl Transition {
 }
 
 impl Matched {
+    /// Returns the outcome under each of the axes that simultaneous perturbation combines.
+    pub fn combined(&self) -> impl Iterator<Item = (Axis, Outcome)> {
+        let alone = self.alone.iter().map(|(axis, outcome)| (*axis, *outcome));
+        alone.filter(|(axis, _)| axis.def().is_combined)
+    }
+
     /// Returns the complete configuration; `None` if its outcome under an axis alone or under
     /// simultaneous perturbation is unknown.
     pub fn configuration(&self) -> Option<Configuration> {
         let mut alone = BTreeMap::new();
-        for (&axis, outcome) in &self.alone {
+        for (axis, outcome) in self.combined() {
             alone.insert(axis, outcome.success()?);
         }
         Some(Configuration { task: self.task, alone, simultaneous: self.simultaneous.success()? })
@@ -162,7 +166,7 @@ impl Matched {
     /// exactly one if no rollout is quarantined. `None` if a rollout is missing.
     pub fn possible_transitions(&self) -> Option<Vec<Transition>> {
         let mut conjunction = [1, 1];
-        for outcome in self.alone.values() {
+        for (_, outcome) in self.combined() {
             let [fewest, most] = outcome.possible_successes()?;
             conjunction = [conjunction[0] * fewest, conjunction[1] * most];
         }
@@ -183,7 +187,6 @@ impl Matched {
         match condition {
             Condition::Clean => self.nominal,
             Condition::Single(axis) => self.alone.get(&axis).copied().unwrap_or_default(),
-            Condition::Latency => self.latency.unwrap_or_default(),
             Condition::Subset(axes) => self.subsets.get(&axes).copied().unwrap_or_default(),
             Condition::Combination => self.simultaneous,
             // Variants belong to no configuration.
@@ -196,9 +199,8 @@ impl Matched {
 #[derive(Clone, Debug, Default)]
 pub struct Records {
     pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
-    pub(crate) axes: BTreeSet<Axis>,
-    /// Levels at which rollouts under the latency axis are recorded.
-    pub(crate) latency_levels: BTreeSet<Level>,
+    /// Axes that are perturbed alone, each with the levels of its rollouts.
+    pub(crate) alone: BTreeMap<Axis, BTreeSet<Level>>,
     /// True if simultaneous rollouts are recorded.
     pub(crate) has_simultaneous: bool,
     pub(crate) matched: Vec<Matched>,
@@ -217,10 +219,7 @@ impl Records {
             match id.condition() {
                 Condition::Clean | Condition::Subset(_) | Condition::Variant => {}
                 Condition::Single(axis) => {
-                    matching.axes.insert(axis);
-                }
-                Condition::Latency => {
-                    matching.latency_levels.insert(id.level());
+                    matching.alone.entry(axis).or_default().insert(id.level());
                 }
                 Condition::Combination => matching.has_simultaneous = true,
             }
@@ -235,9 +234,9 @@ impl Records {
         &self.matched
     }
 
-    /// Returns the axes that were perturbed alone, in the protocol's order.
+    /// Returns the axes that were perturbed alone and are combined, in the protocol's order.
     pub fn axes(&self) -> impl Iterator<Item = Axis> {
-        self.axes.iter().copied()
+        self.alone.keys().copied().filter(|axis| axis.def().is_combined)
     }
 
     /// Returns true if simultaneous rollouts are recorded.
@@ -257,7 +256,6 @@ impl Records {
         let nominal = RolloutId::clean(matched.task, matched.init_id);
         let nominal = self.outcomes.get(&(matched.replicate, nominal));
         let perturbed = matched.alone.values().chain(matched.subsets.values());
-        let perturbed = perturbed.chain(&matched.latency);
         let mut outcomes = perturbed.chain([&matched.simultaneous]).chain(nominal);
         outcomes.any(|outcome| *outcome == Outcome::Missing)
     }
@@ -274,8 +272,10 @@ impl Records {
                 config,
                 init_id,
                 nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
-                alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
-                latency: self.latency_levels.contains(&id.level()).then_some(Outcome::Missing),
+                alone: (self.alone.iter())
+                    .filter(|(axis, at)| axis.def().is_combined || at.contains(&id.level()))
+                    .map(|(axis, _)| (*axis, Outcome::Missing))
+                    .collect(),
                 subsets: BTreeMap::new(),
                 simultaneous: Outcome::Missing,
             });
@@ -286,7 +286,6 @@ impl Records {
                 Condition::Subset(axes) => {
                     entry.subsets.insert(axes, outcome);
                 }
-                Condition::Latency => entry.latency = Some(outcome),
                 Condition::Combination => entry.simultaneous = outcome,
                 Condition::Clean | Condition::Variant => {}
             }

@@ -110,10 +110,6 @@ pub struct Cell {
     /// Success under each single axis over all results, including those of incomplete
     /// configurations.
     pub alone: BTreeMap<Axis, SingleAxis>,
-    /// Success under the latency axis, over all results; absent if the campaign does not run this
-    /// axis at the level.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub latency: Option<SingleAxis>,
     /// Success under proper subsets of two or more axes, over all results; empty if the
     /// campaign runs none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]

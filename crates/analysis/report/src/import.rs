@@ -262,7 +262,7 @@ impl Reading {
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
         }
-        let is_latency = row.rollout_id.condition() == Condition::Latency;
+        let is_latency = row.rollout_id.condition().sets_execution();
         let first = self.execution.get_or_insert_with(|| match is_latency {
             true => Execution::Wait,
             false => row.execution.clone(),

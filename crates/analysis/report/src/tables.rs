@@ -238,22 +238,20 @@ pub(crate) fn gap(cell: Cell, missing: u64, quarantined: u64) -> Cell {
 /// Success under each condition; `is_brief` leaves out counts and losses and adds nominal success.
 pub(crate) fn success(analyses: &[Analysis], is_brief: bool) -> Table {
     let run: BTreeSet<Axis> =
-        analyses.iter().flat_map(|of| of.report.axes.iter().copied()).collect();
+        levels(analyses).flat_map(|(_, at)| at.alone.keys().copied()).collect();
     let has = |is: fn(&AtLevel) -> bool| levels(analyses).any(|(_, at)| is(at));
     let conditions = [Condition::Clean].into_iter().filter(|_| is_brief);
     let singles = run.iter().copied().map(Condition::Single);
-    let latency = has(|at| at.latency.is_some()).then_some(Condition::Latency);
     let simultaneous = has(|at| at.simultaneous.is_some()).then_some(Condition::Combination);
     let rows = levels(analyses).map(|(of, at)| (of, at, ()));
-    let rows = rows.filter(|_| !run.is_empty() || latency.is_some());
+    let rows = rows.filter(|_| !run.is_empty());
     let name = if is_brief { "Success, %" } else { "Success of all rollouts, %, with its counts" };
     let mut table = of_levels(name, analyses, rows);
     let mut has_loss = false;
-    for condition in conditions.chain(singles).chain(latency).chain(simultaneous) {
+    for condition in conditions.chain(singles).chain(simultaneous) {
         table = table.column(condition.label(), "", "", |(of, at, ())| {
             let alone = match condition {
                 Condition::Single(axis) => at.alone.get(&axis),
-                Condition::Latency => at.latency.as_ref(),
                 _ => None,
             };
             let count = match condition {
@@ -279,8 +277,7 @@ pub(crate) fn success(analyses: &[Analysis], is_brief: bool) -> Table {
         });
     }
     for (_, at) in levels(analyses) {
-        let mut alone = at.alone.values().chain(&at.latency);
-        has_loss |= !is_brief && alone.any(|alone| alone.clean_relative_loss.is_some());
+        has_loss |= !is_brief && at.alone.values().any(|alone| alone.clean_relative_loss.is_some());
     }
     table.when(has_loss, |rows| rows.note("loss", "1 − success / nominal success, %")).table()
 }

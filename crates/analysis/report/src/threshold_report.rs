@@ -190,7 +190,7 @@ impl ThresholdReport {
             Block::Folded(survival(&curves)),
             Block::Table(half_success(&curves)),
         ];
-        let latency = curves.iter().find(|curve| curve.condition == Condition::Latency);
+        let latency = curves.iter().find(|curve| curve.condition.sets_execution());
         blocks.extend(latency.map(|curve| Block::Paragraph(tolerated_delay(curve))));
         if curves.iter().any(|curve| !curve.is_bisected) {
             let words = "Where language is perturbed, there are wordings at L1, L2 and L3 and at \

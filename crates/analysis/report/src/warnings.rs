@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use libero_ctrl::{Condition, Look, delay_at};
+use libero_ctrl::{Condition, Look, execution_at};
 use rollout_types::{CONNECTED_SINCE, Fingerprints, Provenance, first_names};
 
 use crate::subject::{Subject, pluralise};
@@ -153,14 +153,14 @@ pub(crate) fn look(subject: &Subject) -> BTreeSet<String> {
     subject.looks().iter().map(Look::to_string).collect()
 }
 
-/// Returns the execution models of the results, without those of the latency axis.
+/// Returns the execution models of the results, without those that an axis sets.
 fn executions(subject: &Subject) -> impl Iterator<Item = String> {
-    let latency = subject.records.iter().map(|record| record.id);
-    let latency = latency.filter(|id| id.condition() == Condition::Latency);
-    let latency: BTreeSet<String> =
-        latency.filter_map(|id| Some(format!("overlap:{}", delay_at(id.level())?))).collect();
+    let ids = subject.records.iter().map(|record| record.id);
+    let ids = ids.filter(|id| id.condition().sets_execution());
+    let of_axes: BTreeSet<String> =
+        ids.filter_map(|id| Some(execution_at(id.level())?.to_string())).collect();
     let models = subject.provenances.iter().map(|provenance| provenance.execution().to_owned());
-    models.filter(move |model| !latency.contains(model))
+    models.filter(move |model| !of_axes.contains(model))
 }
 
 fn checkpoint(p: &Provenance) -> String {

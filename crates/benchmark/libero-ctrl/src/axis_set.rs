@@ -2,19 +2,20 @@ use std::fmt;
 use std::str::FromStr;
 use std::sync::LazyLock;
 
-use crate::axis::Axis;
+use crate::axis::{AXES, Axis};
 use crate::names::{UnknownName, serde_as_text};
 
-/// A set of axes, written in the order of [`Axis::ALL`]: `camera+robot`. The empty set
+/// A set of axes, written in the order of [`AXES`]: `camera+robot`. The empty set
 /// is written `none`.
 ///
-/// Sets are ordered by size, then by their axes in the order of [`Axis::ALL`], so that
+/// Sets are ordered by size, then by their axes in the order of [`AXES`], so that
 /// every set follows its subsets.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
-pub struct AxisSet(u8);
+pub struct AxisSet(u16);
 
 impl AxisSet {
     pub const EMPTY: Self = Self(0);
+    /// The protocol's axes, [`Axis::ALL`].
     pub const ALL: Self = Self((1 << Axis::ALL.len()) - 1);
 
     pub const fn of(axis: Axis) -> Self {
@@ -49,20 +50,25 @@ impl AxisSet {
         Self(self.0 & !other.0)
     }
 
+    /// Returns the axes of the set that *simultaneous* perturbs.
+    pub const fn combined(self) -> Self {
+        Self(self.0 & Self::ALL.0)
+    }
+
     /// Returns the axes' names with `+` between, or `none`.
     pub fn name(self) -> &'static str {
         &NAMES[usize::from(self.0)]
     }
 
-    /// Returns the axes in the order of [`Axis::ALL`].
+    /// Returns the axes in the order of [`AXES`].
     pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
-        Axis::ALL.into_iter().filter(move |&axis| self.contains(axis))
+        Axis::every().filter(move |&axis| self.contains(axis))
     }
 
     /// Returns all subsets, sorted, from the empty set to this set.
     pub fn subsets(self) -> Vec<Self> {
         let mut subsets: Vec<Self> =
-            (0..=Self::ALL.0).map(Self).filter(|set| set.is_subset(self)).collect();
+            (0..=self.0).map(Self).filter(|set| set.is_subset(self)).collect();
         subsets.sort();
         subsets
     }
@@ -92,14 +98,15 @@ impl PartialOrd for AxisSet {
 const EMPTY: &str = "none";
 
 /// Names of all sets; the index of a name is the set's bits.
-static NAMES: LazyLock<[String; 64]> = LazyLock::new(|| {
-    std::array::from_fn(|bits| {
-        let names: Vec<&str> = AxisSet(bits as u8).axes().map(Axis::name).collect();
+static NAMES: LazyLock<Vec<String>> = LazyLock::new(|| {
+    let name = |bits| {
+        let names: Vec<&str> = AxisSet(bits).axes().map(Axis::name).collect();
         match names.is_empty() {
             true => EMPTY.to_owned(),
             false => names.join("+"),
         }
-    })
+    };
+    (0..1 << AXES.len()).map(name).collect()
 });
 
 impl fmt::Display for AxisSet {
@@ -118,7 +125,10 @@ impl FromStr for AxisSet {
         }
         let mut set = Self::EMPTY;
         for name in text.split('+') {
-            let axis = name.parse()?;
+            let axis: Axis = name.parse()?;
+            if !axis.def().is_combined {
+                return Err(UnknownName::new("axis", name, &Axis::ALL.map(Axis::name)));
+            }
             if set.contains(axis) {
                 let valid = ["axes with + between, each once, such as camera+robot"];
                 return Err(UnknownName::new("set of axes", text, &valid));
@@ -137,6 +147,7 @@ mod tests {
 
     #[test]
     fn all_64_sets_are_parsed_from_their_text_and_sorted_after_their_subsets() {
+        assert_eq!(AxisSet::from_iter(Axis::ALL), AxisSet::ALL);
         let sets = AxisSet::ALL.subsets();
         assert_eq!(sets.len(), 64);
         for (i, &set) in sets.iter().enumerate() {

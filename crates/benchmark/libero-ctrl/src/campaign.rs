@@ -4,13 +4,13 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::condition::{Condition, Realisation};
 use crate::design::{Design, DesignError, Nominal, Placebo, select_tasks};
 use crate::design_version::DesignVersion;
 use crate::directions::Directions;
 use crate::execution::Execution;
-use crate::latency::AnyAxis;
 use crate::level::Level;
 use crate::look::Look;
 use crate::manifest;
@@ -132,15 +132,10 @@ impl Rollouts {
         }
     }
 
-    /// Returns the execution model of a campaign whose specification names none: the model that
-    /// the rows of its manifest share, apart from latency rows, or [`Execution::Wait`].
+    /// Returns the execution model of a campaign whose specification names none.
     pub fn execution(&self) -> Execution {
         match self {
-            Self::Manifest(rows) => {
-                let mut rows = rows.iter();
-                let first = rows.find(|row| row.id.condition() != Condition::Latency);
-                first.map_or(Execution::Wait, |row| row.execution.clone())
-            }
+            Self::Manifest(rows) => manifest::execution(rows),
             _ => Execution::Wait,
         }
     }
@@ -184,10 +179,7 @@ impl CampaignSpec {
         match &self.rollouts {
             Rollouts::Design(design) => {
                 design.check()?;
-                if design.latency && !self.execution.is_wait() {
-                    let given = self.execution.clone();
-                    return Err(SpecError::Latency { given });
-                }
+                self.check_axes(design.conditions())?;
             }
             Rollouts::Manifest(rows) => self.check_rows(rows)?,
             Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
@@ -234,7 +226,7 @@ impl CampaignSpec {
             }
             let derived = |field| StopError::Derived { field };
             match &self.rollouts {
-                Rollouts::Design(design) if design.axes.len() < 2 => {
+                Rollouts::Design(design) if design.axis_set().len() < 2 => {
                     return Err(StopError::NotSimultaneous.into());
                 }
                 Rollouts::Design(_) | Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {}
@@ -252,19 +244,19 @@ impl CampaignSpec {
         if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
             return Err(SpecError::VariantRow { id: row.id });
         }
-        let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
-        let row_model = rows.iter().find(|row| !is_late(row)).map(|row| &row.execution);
-        if let Some(row_model) = row_model.filter(|model| !model.is_wait())
-            && *row_model != self.execution
-        {
-            let (given, row_model) = (self.execution.clone(), row_model.clone());
+        let (row_model, given) = (manifest::execution(rows), self.execution.clone());
+        if !row_model.is_wait() && row_model != given {
             return Err(SpecError::Execution { given, row_model });
         }
-        if rows.iter().any(|row| is_late(&row)) && !self.execution.is_wait() {
-            let given = self.execution.clone();
-            return Err(SpecError::Latency { given });
+        self.check_axes(rows.iter().map(|row| row.id.condition()))
+    }
+
+    /// Rejects an execution model beside an axis that sets it.
+    fn check_axes(&self, run: impl IntoIterator<Item = Condition>) -> Result<(), SpecError> {
+        match run.into_iter().any(Condition::sets_execution) && !self.execution.is_wait() {
+            true => Err(SpecError::Latency { given: self.execution.clone() }),
+            false => Ok(()),
         }
-        Ok(())
     }
 
     /// Rejects the reference realisation, which `field` excludes.
@@ -296,7 +288,7 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     tasks: Option<Vec<String>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    axes: Option<Vec<AnyAxis>>,
+    axes: Option<Vec<Axis>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     subsets: Option<Vec<AxisSet>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -425,10 +417,10 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Variants(variants) => text.variants = Some(variants),
             Rollouts::SuiteFile(file) => text.suite_file = Some(file),
             Rollouts::Design(design) => {
-                text.axes = Some(design.any_axes());
                 if design.has_placebo() {
                     text.placebo_radius = Some(design.placebo.radius.radius());
                 }
+                text.axes = Some(design.axes);
                 text.placebo_configs = design.placebo.configs;
                 text.directions =
                     Some(design.directions).filter(|directions| *directions != Directions::Shared);
@@ -479,11 +471,9 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
     for name in names {
         tasks.extend(select_tasks(&name)?);
     }
-    let axes = text.axes.take().ok_or(TextError::Missing("axes"))?;
     let design = Design {
         tasks,
-        axes: Vec::new(),
-        latency: false,
+        axes: text.axes.take().ok_or(TextError::Missing("axes"))?,
         subsets: text.subsets.take().unwrap_or_default(),
         levels: text.levels.take().ok_or(TextError::Missing("levels"))?,
         configs: text.configs.take().unwrap_or_else(|| (0..PRESETS).collect()),
@@ -495,7 +485,7 @@ fn design(text: &mut SpecText) -> Result<Design, TextError> {
             configs: text.placebo_configs.take(),
         },
     };
-    Ok(design.with_any_axes(&axes).in_order())
+    Ok(design.in_order())
 }
 
 fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {

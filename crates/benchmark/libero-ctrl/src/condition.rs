@@ -4,7 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::axis::{Axis, LATENCY};
+use crate::axis::{ActsOn, Axis};
 use crate::axis_set::AxisSet;
 use crate::names::{UnknownName, serde_as_text};
 
@@ -15,9 +15,6 @@ const VARIANT: &str = "variant";
 pub enum Condition {
     Clean,
     Single(Axis),
-    /// The latency axis, which no [`AxisSet`] contains: delayed responses without further
-    /// perturbation.
-    Latency,
     /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),
     /// Simultaneous: all axes of the campaign at once. Rollout ids use the published name
@@ -40,14 +37,19 @@ impl Condition {
         }
     }
 
-    /// Returns the protocol's axes that the condition perturbs in a campaign of the given axes.
+    /// Returns the axes that the condition perturbs in a campaign of the given axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
-            Self::Clean | Self::Latency | Self::Variant => AxisSet::EMPTY,
+            Self::Clean | Self::Variant => AxisSet::EMPTY,
             Self::Single(axis) => AxisSet::of(axis),
             Self::Subset(axes) => axes,
-            Self::Combination => campaign,
+            Self::Combination => campaign.combined(),
         }
+    }
+
+    /// True if the level sets the rollout's execution model; the campaign sets that of all others.
+    pub fn sets_execution(self) -> bool {
+        matches!(self, Self::Single(axis) if axis.def().acts_on == ActsOn::Answers)
     }
 
     /// Returns the benchmark's published name, used in rollout ids and manifests and hashed into
@@ -56,7 +58,6 @@ impl Condition {
         match self {
             Self::Clean => "clean",
             Self::Single(axis) => axis.name(),
-            Self::Latency => LATENCY,
             Self::Subset(axes) => axes.name(),
             Self::Combination => "combination",
             Self::Variant => VARIANT,
@@ -67,11 +68,8 @@ impl Condition {
     pub fn label(self) -> &'static str {
         match self {
             Self::Clean => "nominal",
-            Self::Single(axis) => axis.name(),
-            Self::Latency => LATENCY,
-            Self::Subset(axes) => axes.name(),
             Self::Combination => "simultaneous",
-            Self::Variant => VARIANT,
+            other => other.name(),
         }
     }
 }
@@ -90,14 +88,13 @@ impl FromStr for Condition {
         match text {
             "nominal" | "clean" => Ok(Self::Clean),
             "simultaneous" | "combination" => Ok(Self::Combination),
-            LATENCY => Ok(Self::Latency),
             VARIANT => Ok(Self::Variant),
-            axes => match axes.parse() {
-                Ok(axes) if axes != AxisSet::EMPTY => Ok(Self::of(axes)),
+            axes => match (axes.parse().map(Self::Single), axes.parse()) {
+                (Ok(single), _) => Ok(single),
+                (_, Ok(axes)) if axes != AxisSet::EMPTY => Ok(Self::of(axes)),
                 _ => {
                     let mut valid = vec!["nominal", "simultaneous"];
-                    valid.extend(Axis::ALL.map(Axis::name));
-                    valid.push(LATENCY);
+                    valid.extend(Axis::every().map(Axis::name));
                     valid.push("several axes such as camera+robot");
                     Err(UnknownName::new("condition", text, &valid))
                 }

@@ -6,12 +6,11 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use crate::axis::{Axis, LATENCY};
+use crate::axis::{Axis, Radii};
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::design_version::DesignVersion;
 use crate::directions::{Directions, MAX_CONFIGS};
-use crate::latency::{AnyAxis, delay_at};
 use crate::level::Level;
 use crate::names::UnknownName;
 use crate::presets::PRESETS;
@@ -23,10 +22,8 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 pub struct Design {
     /// Tasks, in the benchmark's order, each once.
     pub tasks: Vec<TaskRef>,
-    /// Perturbed axes: each alone and, if there are two or more, all simultaneously.
+    /// Perturbed axes: each alone and, if two or more of them are combined, these simultaneously.
     pub axes: Vec<Axis>,
-    /// True if the design has the latency axis, which only delays the policy's responses.
-    pub latency: bool,
     /// Further conditions: proper subsets of two or more axes.
     pub subsets: Vec<AxisSet>,
     /// Levels of every axis. L0 is the placebo level.
@@ -72,17 +69,8 @@ pub enum DesignError {
     PlaceboRadius { given: f64 },
     #[error("`placebo_configs` has {given}, which is not in `configs`")]
     PlaceboConfig { given: u16 },
-    #[error(
-        "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
-         remove it from `axes`, or import a manifest with its own instructions"
-    )]
-    NoParaphrase { level: Level },
-    #[error(
-        "axis `latency` delays responses by half the radius in control steps, which is not a \
-         positive whole number at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, \
-         or remove it from `axes`"
-    )]
-    Delay { level: Level },
+    #[error("axis `{axis}` {}", not_at(*axis, *level))]
+    NotAt { axis: Axis, level: Level },
     #[error(
         "the design has up to {rows} rollouts, at most {MAX_ROWS} are possible: divide the design"
     )]
@@ -99,7 +87,6 @@ impl Design {
         Self {
             tasks: TaskRef::all().collect(),
             axes: Axis::ALL.to_vec(),
-            latency: false,
             subsets: Vec::new(),
             levels: Level::PERTURBED.to_vec(),
             configs: (0..PRESETS).collect(),
@@ -129,7 +116,7 @@ impl Design {
         if self.tasks.is_empty() {
             return empty("tasks", "write for example libero_goal/3 or all");
         }
-        let perturbs_nothing = self.axes.is_empty() && !self.latency;
+        let perturbs_nothing = self.axes.is_empty();
         if perturbs_nothing != self.levels.is_empty() {
             let missing = match perturbs_nothing {
                 true => "axes",
@@ -159,17 +146,9 @@ impl Design {
             });
         }
         self.check_placebo()?;
-        // At L0 the instruction stays canonical.
-        let has_paraphrases = |level: &Level| level.is_named() || *level == Level::L0;
-        let unparaphrased = self.levels.iter().find(|level| !has_paraphrases(level));
-        if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unparaphrased) {
-            return Err(DesignError::NoParaphrase { level });
-        }
-        let mut levels = self.levels.iter().filter(|level| **level != Level::L0);
-        if self.latency
-            && let Some(&level) = levels.find(|level| delay_at(**level).is_none())
-        {
-            return Err(DesignError::Delay { level });
+        // An axis without a placebo is left out at L0.
+        for &level in self.levels.iter().filter(|level| **level != Level::L0) {
+            self.axes.iter().try_for_each(|axis| check_at(Condition::Single(*axis), level))?;
         }
         match self.max_rows() {
             rows if rows > MAX_ROWS => Err(DesignError::TooLarge { rows }),
@@ -213,38 +192,18 @@ impl Design {
         level != Level::L0 || self.placebo.includes(config)
     }
 
-    pub fn any_axes(&self) -> Vec<AnyAxis> {
-        let axes = self.axes.iter().copied().map(AnyAxis::Protocol);
-        axes.chain(self.latency.then_some(AnyAxis::Latency)).collect()
-    }
-
-    pub fn with_any_axes(mut self, axes: &[AnyAxis]) -> Self {
-        self.latency = axes.contains(&AnyAxis::Latency);
-        let protocol_axes = axes.iter().filter_map(|axis| match axis {
-            AnyAxis::Protocol(axis) => Some(*axis),
-            AnyAxis::Latency => None,
-        });
-        self.axes = protocol_axes.collect();
-        self
-    }
-
-    /// The placebo level has no latency rollouts.
-    pub(crate) fn runs_condition(&self, condition: Condition, level: Level) -> bool {
-        condition != Condition::Latency || level != Level::L0
-    }
-
+    /// Returns the axes that the design combines.
     pub fn axis_set(&self) -> AxisSet {
-        self.axes.iter().copied().collect()
+        self.axes.iter().copied().collect::<AxisSet>().combined()
     }
 
-    /// Returns the perturbed conditions: each axis alone, latency, the subsets and, if the design
-    /// has two or more of the six axes, their combination.
+    /// Returns the perturbed conditions: each axis alone, the subsets and, if the design combines
+    /// two axes or more, their combination.
     pub fn conditions(&self) -> Vec<Condition> {
         let mut conditions: Vec<Condition> =
             self.axes.iter().copied().map(Condition::Single).collect();
-        conditions.extend(self.latency.then_some(Condition::Latency));
         conditions.extend(self.subsets.iter().copied().map(Condition::of));
-        if self.axes.len() > 1 {
+        if self.axis_set().len() > 1 {
             conditions.push(Condition::Combination);
         }
         conditions
@@ -254,9 +213,11 @@ impl Design {
         if self.has_same_rollouts(&Self::v0_1()) {
             return DesignVersion::v0_1();
         }
+        let (combined, others): (Vec<Axis>, Vec<Axis>) =
+            self.axes.iter().partition(|axis| axis.def().is_combined);
         let text = serde_json::to_string(&(
             &self.tasks,
-            &self.axes,
+            combined,
             &self.levels,
             &self.configs,
             self.nominal,
@@ -270,8 +231,8 @@ impl Design {
         if self.directions == Directions::Own {
             text.push_str("own directions");
         }
-        if self.latency {
-            text.push_str(LATENCY);
+        for axis in others {
+            text.push_str(axis.name());
         }
         if self.has_placebo() {
             let Placebo { radius, configs } = &self.placebo;
@@ -306,6 +267,30 @@ impl Design {
         };
         let rows_per_task = config_levels * self.conditions().len() + nominal;
         self.tasks.len() * rows_per_task
+    }
+}
+
+/// Checks that a single axis can run at a level.
+pub(crate) fn check_at(condition: Condition, level: Level) -> Result<(), DesignError> {
+    match condition {
+        Condition::Single(axis) if !axis.def().radii.contains(level) => {
+            Err(DesignError::NotAt { axis, level })
+        }
+        _ => Ok(()),
+    }
+}
+
+fn not_at(axis: Axis, level: Level) -> String {
+    match axis.def().radii {
+        Radii::Named => format!(
+            "has paraphrases at L1, L2 and L3 and not at {level}: remove it from `axes`, or import \
+             a manifest with its own instructions"
+        ),
+        Radii::Any | Radii::Multiples(_) => format!(
+            "delays responses by half the radius in control steps, which is not a positive whole \
+             number at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or remove \
+             it from `axes`"
+        ),
     }
 }
 

@@ -4,7 +4,6 @@
 use serde::Serialize;
 
 use crate::campaign::Explanation;
-use crate::condition::Condition;
 use crate::design::Design;
 use crate::execution::Execution;
 use crate::manifest;
@@ -48,12 +47,7 @@ impl DesignVersion {
     /// those of v0.1 have the version v0.1. The manifest of the reference implementation has
     /// another version, because its paraphrases differ.
     pub fn of_manifest(rows: &[ManifestRow]) -> Self {
-        let version = Self::of_rows(rows);
-        let mut iterator = rows.iter();
-        match iterator.find(|row| row.id.condition() != Condition::Latency) {
-            Some(row) => version.under(&row.execution),
-            None => version,
-        }
+        Self::of_rows(rows).under(&manifest::execution(rows))
     }
 
     pub(crate) fn of_rows(rows: &[ManifestRow]) -> Self {

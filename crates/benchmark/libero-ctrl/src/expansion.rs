@@ -7,7 +7,7 @@ use crate::axis::Axis;
 use crate::axis_set::AxisSet;
 use crate::campaign::{CampaignSpec, Rollouts};
 use crate::condition::Condition;
-use crate::design::{Design, DesignError, Nominal, Placebo};
+use crate::design::{Design, DesignError, Nominal, Placebo, check_at};
 use crate::directions::{direction, init_id};
 use crate::latency::execution_at;
 use crate::level::Level;
@@ -59,10 +59,10 @@ impl Design {
                     if !self.runs_config(level, config) {
                         continue;
                     }
-                    let mut conditions = self.conditions();
-                    conditions.retain(|condition| self.runs_condition(*condition, level));
-                    for condition in conditions {
-                        rows.push(self.perturbed_row(task, condition, level, config));
+                    for condition in self.conditions() {
+                        if check_at(condition, level).is_ok() {
+                            rows.push(self.perturbed_row(task, condition, level, config));
+                        }
                     }
                 }
             }
@@ -88,7 +88,6 @@ impl Design {
         let single = Self {
             tasks: vec![task],
             axes: condition.axes(self.axis_set()).axes().collect(),
-            latency: condition == Condition::Latency,
             subsets: Vec::new(),
             levels: vec![level],
             configs: vec![config],
@@ -99,9 +98,7 @@ impl Design {
             ..self.clone()
         };
         single.check()?;
-        if !self.runs_condition(condition, level) {
-            return Err(DesignError::Delay { level });
-        }
+        check_at(condition, level)?;
         Ok(self.perturbed_row(task, condition, level, config))
     }
 
@@ -126,7 +123,7 @@ impl Design {
         let init_id = init_id(task, config, self.seed);
         let mut row =
             ManifestRow { placebo_radius, ..ManifestRow::new(id, config, init_id, perturbation) };
-        if condition == Condition::Latency {
+        if condition.sets_execution() {
             row.execution = execution_at(level).expect("a validated design has delays");
         }
         if axes.contains(Axis::Language) {
@@ -195,20 +192,9 @@ pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
         true => AxisSet::ALL,
         false => AxisSet::from_iter(Axis::METRIC),
     };
-    let design = Design {
-        tasks: vec![id.task()],
-        axes: id.condition().axes(combined).axes().collect(),
-        latency: id.condition() == Condition::Latency,
-        levels: vec![id.level()],
-        configs: vec![config],
-        nominal: Nominal::None,
-        ..Design::v0_1()
-    };
-    design.check().map_err(|error| problem(error.to_string()))?;
-    if !design.runs_condition(id.condition(), id.level()) {
-        return Err(problem("the latency axis has no placebo level".to_owned()));
-    }
-    Ok(design.perturbed_row(id.task(), id.condition(), id.level(), config))
+    let design = Design { axes: combined.axes().collect(), ..Design::v0_1() };
+    let row = design.row_at(id.task(), id.condition(), id.level(), config);
+    row.map_err(|error| problem(error.to_string()))
 }
 
 #[cfg(test)]
@@ -341,7 +327,7 @@ mod tests {
         let between = "r3".parse().expect("a level");
         let all = Condition::Combination;
         let row = Design::v0_1().row_at(task, all, between, 4);
-        assert_eq!(row, Err(DesignError::NoParaphrase { level: between }));
+        assert_eq!(row, Err(DesignError::NotAt { axis: Axis::Language, level: between }));
     }
 
     #[test]

@@ -48,7 +48,7 @@ mod variants;
 mod wanted;
 mod wording;
 
-pub use axis::Axis;
+pub use axis::{AXES, ActsOn, Axis, AxisDef, Radii};
 pub use axis_set::AxisSet;
 pub use benchmark::Benchmark;
 pub use campaign::{CampaignSpec, Explanation, PolicyRoute, Record, Rollouts};
@@ -60,17 +60,14 @@ pub use execution::{
     CONTROL_HZ, Delays, Execution, ExecutionError, LatencyFileError, MAX_DELAY, TooLate,
 };
 pub use expansion::{NoSuchRow, row_of};
-pub use latency::{AnyAxis, STEPS_PER_RADIUS, delay_at};
+pub use latency::{STEPS_PER_RADIUS, delay_at, execution_at};
 pub use level::Level;
 pub use look::Look;
 pub use measurable::NotMeasurable;
 pub use names::UnknownName;
 pub use own_task::{Beginning, Changes, OwnTask};
 pub use paraphrase::{Paraphrase, paraphrase};
-pub use perturbation::{
-    ActuationDistortion, CameraShift, LightingShift, PerturbError, Perturbation, RobotShift,
-    SensorCorruption,
-};
+pub use perturbation::*;
 pub use privileged::{Entity, EntityKind, Predicate, Privileged};
 pub use rollout_id::RolloutId;
 pub use row::{MAX_ROWS, ManifestRow, RowError};

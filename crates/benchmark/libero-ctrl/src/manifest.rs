@@ -11,7 +11,6 @@ use std::fmt::{self, Write};
 use serde_json::Value;
 
 use crate::axis::Axis;
-use crate::condition::Condition;
 use crate::execution::Execution;
 use crate::level::Level;
 use crate::presets::unit;
@@ -72,6 +71,13 @@ pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
         text.push('\n');
     }
     text
+}
+
+/// Returns the execution model that the rows share, apart from those whose axis sets it; `wait`
+/// without such a row.
+pub(crate) fn execution(rows: &[ManifestRow]) -> Execution {
+    let shares = |row: &&ManifestRow| !row.id.condition().sets_execution();
+    rows.iter().find(shares).map_or(Execution::Wait, |row| row.execution.clone())
 }
 
 /// Returns the differences between two manifests by rollout id, ignoring the order of rows.
@@ -229,7 +235,7 @@ impl Checker {
             self.errors.add(line, problem);
         }
         let id = row.id;
-        if id.condition() != Condition::Latency {
+        if !id.condition().sets_execution() {
             self.check_execution(line, row);
         }
         let first = *self.lines_of_ids.entry(id).or_insert(line);

@@ -10,177 +10,166 @@ use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::wording::JsonError;
 
-/// Declares the parameters of one axis: a struct whose serialised names are the
-/// reference's keys, in the reference's order.
-macro_rules! parameters {
-    (
+/// A parameter of an axis.
+#[derive(Clone, Copy)]
+pub struct Parameter {
+    /// Key in manifests.
+    pub key: &'static str,
+    /// Describes a value with its unit, without a sign where only the magnitude counts.
+    pub text: fn(f64) -> String,
+}
+
+/// Declares the parameters of the metric axes: for each a struct whose serialised names are the
+/// reference's keys, in the reference's order, and all of them as the perturbation of a rollout.
+macro_rules! perturbation {
+    ($(
         $(#[$meta:meta])*
-        $name:ident [$count:literal] {
-            $($(#[$field_meta:meta])* $field:ident,)+
+        $axis:ident $field:ident: $parameters:ident {
+            $($(#[$key_meta:meta])* $key:ident: $text:expr,)+
         }
-    ) => {
-        $(#[$meta])*
+    )+) => {
+        $(
+            $(#[$meta])*
+            #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+            #[serde(deny_unknown_fields)]
+            pub struct $parameters {
+                $($(#[$key_meta])* pub $key: f64,)+
+            }
+
+            impl $parameters {
+                const COUNT: usize = [$(stringify!($key)),+].len();
+                pub(crate) const PARAMETERS: [Parameter; Self::COUNT] =
+                    [$(Parameter { key: stringify!($key), text: $text }),+];
+            }
+
+            impl From<[f64; $parameters::COUNT]> for $parameters {
+                fn from([$($key),+]: [f64; $parameters::COUNT]) -> Self {
+                    Self { $($key),+ }
+                }
+            }
+        )+
+
+        /// Perturbation of one rollout: the parameters of each perturbed axis. All are absent
+        /// in a nominal rollout, in a rollout of the latency axis or of a variant, and in a rollout
+        /// that perturbs only language, whose perturbation is the row's instruction.
         #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
         #[serde(deny_unknown_fields)]
-        pub struct $name {
-            $($(#[$field_meta])* pub $field: f64,)+
+        pub struct Perturbation {
+            $(
+                #[serde(default, skip_serializing_if = "Option::is_none")]
+                pub $field: Option<$parameters>,
+            )+
         }
 
-        impl $name {
-            /// Keys in manifests, in order.
-            pub const KEYS: [&'static str; $count] = [$(stringify!($field)),+];
-
-            pub fn values(&self) -> [f64; $count] {
-                [$(self.$field),+]
+        impl Perturbation {
+            /// Returns the perturbed metric axes in the reference's order.
+            pub fn axes(&self) -> Vec<Axis> {
+                let set = [$((Axis::$axis, self.$field.is_some())),+];
+                set.into_iter().filter_map(|(axis, set)| set.then_some(axis)).collect()
             }
-        }
 
-        impl From<[f64; $count]> for $name {
-            fn from([$($field),+]: [f64; $count]) -> Self {
-                Self { $($field),+ }
+            pub fn only(&self, axes: AxisSet) -> Self {
+                Self { $($field: self.$field.filter(|_| axes.contains(Axis::$axis))),+ }
+            }
+
+            /// Empty if the axis is not perturbed.
+            pub fn values(&self, axis: Axis) -> Vec<f64> {
+                match axis {
+                    $(Axis::$axis => self.$field.map(|of| vec![$(of.$key),+]),)+
+                    _ => None,
+                }
+                .unwrap_or_default()
+            }
+
+            /// Sets the parameters of an axis, each from its index.
+            pub(crate) fn set(&mut self, axis: Axis, value: impl Fn(usize) -> f64) {
+                match axis {
+                    $(Axis::$axis => {
+                        self.$field = Some($parameters::from(std::array::from_fn(value)));
+                    })+
+                    _ => {}
+                }
             }
         }
     };
 }
 
-parameters! {
+perturbation! {
     /// Displacement of the `agentview` camera in spherical coordinates about
     /// its look-at point, and of that point.
-    CameraShift [5] {
+    Camera camera: CameraShift {
         /// Azimuth about the world's vertical, degrees.
-        d_azimuth_deg,
+        d_azimuth_deg: |degrees| format!("azimuth {degrees:+.1}°"),
         /// Elevation above the horizontal, degrees.
-        d_elevation_deg,
+        d_elevation_deg: |degrees| format!("elevation {degrees:+.1}°"),
         /// Distance to the look-at point, m.
-        d_distance_m,
+        d_distance_m: |metres| format!("distance {:+.1} cm", 100.0 * metres),
         /// Look-at point along world x, m.
-        d_lookat_x_m,
+        d_lookat_x_m: |metres| format!("look-at point along x {:+.1} cm", 100.0 * metres),
         /// Look-at point along world y, m.
-        d_lookat_y_m,
+        d_lookat_y_m: |metres| format!("look-at point along y {:+.1} cm", 100.0 * metres),
     }
-}
-
-parameters! {
     /// Change of the scene's lights.
-    LightingShift [5] {
+    Lighting lighting: LightingShift {
         /// Brightness, exposure values (powers of two).
-        d_intensity_ev,
+        d_intensity_ev: |ev| format!("brightness {ev:+.2} EV"),
         /// Warmth: log₂ of the red and of the inverse blue factor.
-        d_log2_warm,
+        d_log2_warm: |log2| format!("warmth {log2:+.2} in log₂"),
         /// Tint: log₂ of the green factor.
-        d_tint_g,
+        d_tint_g: |log2| format!("green tint {log2:+.2} in log₂"),
         /// Headlight ambient, log₂ factor.
-        d_log2_ambient,
+        d_log2_ambient: |log2| format!("ambient light ×{:.2}", log2.exp2()),
         /// Elevation of every light about the look-at point, degrees.
-        d_elevation_deg,
+        d_elevation_deg: |degrees| format!("height of the lights {degrees:+.1}°"),
     }
-}
-
-parameters! {
     /// Displacement of the end-effector's initial pose, world frame.
-    RobotShift [6] {
+    Robot robot: RobotShift {
         /// Along world x, m.
-        eef_dx_m,
+        eef_dx_m: |metres| format!("hand along x {:+.1} cm", 100.0 * metres),
         /// Along world y, m.
-        eef_dy_m,
+        eef_dy_m: |metres| format!("hand along y {:+.1} cm", 100.0 * metres),
         /// Along world z, m.
-        eef_dz_m,
+        eef_dz_m: |metres| format!("hand along z {:+.1} cm", 100.0 * metres),
         /// Rotation vector about world x, degrees.
-        eef_rx_deg,
+        eef_rx_deg: |degrees| format!("hand turned about x {degrees:+.1}°"),
         /// Rotation vector about world y, degrees.
-        eef_ry_deg,
+        eef_ry_deg: |degrees| format!("hand turned about y {degrees:+.1}°"),
         /// Rotation vector about world z, degrees.
-        eef_rz_deg,
+        eef_rz_deg: |degrees| format!("hand turned about z {degrees:+.1}°"),
     }
-}
-
-parameters! {
     /// Corruption of the rendered pictures. Only magnitudes count; lengths in pixels are for a
     /// picture of 128 pixels and scale with the picture.
-    SensorCorruption [4] {
+    Sensor sensor: SensorCorruption {
         /// Standard deviation of the noise, on pixel values in [0, 1].
-        noise_sigma,
+        noise_sigma: |sigma| {
+            format!("noise, standard deviation {:.2} % of full scale", 100.0 * sigma.abs())
+        },
         /// Standard deviation of the Gaussian blur, pixels at 128.
-        blur_sigma,
+        blur_sigma: |px| format!("blur, standard deviation {:.2} px at 128 px", px.abs()),
         /// JPEG quality is 100 · 2^−|value|.
-        jpeg_log2,
+        jpeg_log2: |log2| format!("JPEG quality {:.0}", 100.0 * (-log2.abs()).exp2()),
         /// Length of the motion blur, pixels at 128.
-        motion_len,
+        motion_len: |px| format!("motion blur {:.2} px at 128 px", px.abs()),
     }
-}
-
-parameters! {
     /// Distortion of the six arm components of an action.
-    ActuationDistortion [5] {
+    Actuation actuation: ActuationDistortion {
         /// log₂ of the gain.
-        gain_log2,
+        gain_log2: |log2| format!("gain ×{:.2}", log2.exp2()),
         /// Constant offset, fraction of the demonstrations' action size.
-        bias_frac,
+        bias_frac: |fraction| format!("bias {:+.1} % of a demonstrated action", 100.0 * fraction),
         /// Rotation of the command frame, degrees.
-        misalign_deg,
+        misalign_deg: |degrees| format!("command frame turned {degrees:+.1}°"),
         /// Time constant of the first-order lag, control steps; only the magnitude counts.
-        lag_tau,
+        lag_tau: |steps| format!("lag {:.2} control steps", steps.abs()),
         /// Standard deviation of the noise, fraction of the demonstrations'
         /// action size; only the magnitude counts.
-        noise_frac,
+        noise_frac: |fraction| {
+            format!("noise {:.1} % of a demonstrated action", 100.0 * fraction.abs())
+        },
     }
-}
-
-/// Perturbation of one rollout: the parameters of each perturbed axis. All are absent
-/// in a nominal rollout, in a rollout of the latency axis or of a variant, and in a rollout that
-/// perturbs only language, whose perturbation is the row's instruction.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Perturbation {
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub camera: Option<CameraShift>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub lighting: Option<LightingShift>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub robot: Option<RobotShift>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub sensor: Option<SensorCorruption>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub actuation: Option<ActuationDistortion>,
 }
 
 impl Perturbation {
-    /// Returns the perturbed metric axes in the reference's order.
-    pub fn axes(&self) -> Vec<Axis> {
-        let set = [
-            self.camera.is_some(),
-            self.lighting.is_some(),
-            self.robot.is_some(),
-            self.sensor.is_some(),
-            self.actuation.is_some(),
-        ];
-        let axes = Axis::METRIC.into_iter().zip(set);
-        axes.filter_map(|(axis, set)| set.then_some(axis)).collect()
-    }
-
-    pub fn only(&self, axes: AxisSet) -> Self {
-        Self {
-            camera: self.camera.filter(|_| axes.contains(Axis::Camera)),
-            lighting: self.lighting.filter(|_| axes.contains(Axis::Lighting)),
-            robot: self.robot.filter(|_| axes.contains(Axis::Robot)),
-            sensor: self.sensor.filter(|_| axes.contains(Axis::Sensor)),
-            actuation: self.actuation.filter(|_| axes.contains(Axis::Actuation)),
-        }
-    }
-
-    /// Empty if the axis is not perturbed.
-    pub fn values(&self, axis: Axis) -> Vec<f64> {
-        match axis {
-            Axis::Camera => self.camera.map(|shift| shift.values().to_vec()),
-            Axis::Lighting => self.lighting.map(|shift| shift.values().to_vec()),
-            Axis::Robot => self.robot.map(|shift| shift.values().to_vec()),
-            Axis::Sensor => self.sensor.map(|corruption| corruption.values().to_vec()),
-            Axis::Actuation => self.actuation.map(|distortion| distortion.values().to_vec()),
-            Axis::Language => None,
-        }
-        .unwrap_or_default()
-    }
-
     /// Returns the `perturb` object of a manifest row: nested by axis for
     /// several axes, flat for one axis alone, empty if nothing is perturbed.
     pub fn to_manifest(&self, condition: Condition) -> Map<String, Value> {
@@ -193,11 +182,7 @@ impl Perturbation {
                 Some(Value::Object(flat)) => flat.clone(),
                 _ => Map::new(),
             },
-            Condition::Clean
-            | Condition::Latency
-            | Condition::Subset(_)
-            | Condition::Combination
-            | Condition::Variant => nested,
+            _ => nested,
         }
     }
 
@@ -206,17 +191,12 @@ impl Perturbation {
         perturb: Map<String, Value>,
     ) -> Result<Self, PerturbError> {
         let nested = match condition {
-            Condition::Clean
-            | Condition::Latency
-            | Condition::Variant
-            | Condition::Single(Axis::Language) => match perturb.is_empty() {
-                true => perturb,
-                false => return Err(PerturbError::NotEmpty { condition }),
-            },
-            Condition::Single(axis) => {
+            Condition::Subset(_) | Condition::Combination => perturb,
+            Condition::Single(axis) if !axis.def().parameters.is_empty() => {
                 Map::from_iter([(axis.name().to_owned(), Value::Object(perturb))])
             }
-            Condition::Subset(_) | Condition::Combination => perturb,
+            _ if perturb.is_empty() => perturb,
+            _ => return Err(PerturbError::NotEmpty { condition }),
         };
         let perturbation: Self =
             serde_json::from_value(Value::Object(nested)).map_err(|source| {

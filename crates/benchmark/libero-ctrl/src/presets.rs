@@ -12,9 +12,7 @@ use serde::Deserialize;
 
 use crate::axis::Axis;
 use crate::level::Level;
-use crate::perturbation::{
-    ActuationDistortion, CameraShift, LightingShift, Perturbation, RobotShift, SensorCorruption,
-};
+use crate::perturbation::Perturbation;
 use crate::suite::{Suite, TaskRef};
 
 /// Number of presets per axis, and of configurations per task and level.
@@ -57,25 +55,8 @@ pub(crate) fn apply_direction(
     level: Level,
     direction: &[f64],
 ) {
-    match axis {
-        Axis::Camera => {
-            perturbation.camera = Some(CameraShift::from(values(axis, level, direction)));
-        }
-        Axis::Lighting => {
-            perturbation.lighting = Some(LightingShift::from(values(axis, level, direction)));
-        }
-        Axis::Robot => {
-            perturbation.robot = Some(RobotShift::from(values(axis, level, direction)));
-        }
-        Axis::Sensor => {
-            perturbation.sensor = Some(SensorCorruption::from(values(axis, level, direction)));
-        }
-        Axis::Actuation => {
-            let distortion = ActuationDistortion::from(values(axis, level, direction));
-            perturbation.actuation = Some(distortion);
-        }
-        Axis::Language => {}
-    }
+    let (unit, radius) = (unit(axis), level.radius());
+    perturbation.set(axis, |i| round6(radius * unit[i] * direction[i]));
 }
 
 /// Returns the direction of preset `config`: a unit vector, empty for the language axis.
@@ -148,11 +129,6 @@ fn presets() -> &'static Presets {
     &PRESETS
 }
 
-fn values<const N: usize>(axis: Axis, level: Level, direction: &[f64]) -> [f64; N] {
-    let (unit, radius) = (unit(axis), level.radius());
-    std::array::from_fn(|i| round6(radius * unit[i] * direction[i]))
-}
-
 struct AxisPresets {
     unit: Vec<f64>,
     half_space: Vec<usize>,
@@ -205,22 +181,16 @@ mod tests {
         serde_json::from_str(include_str!("../data/presets.json")).expect("JSON")
     }
 
-    fn check_keys(axis: Axis, keys: &[&str]) {
-        let file = file();
-        assert_eq!(file["axes"][axis.name()]["keys"], serde_json::json!(keys));
-        let AxisPresets { unit, directions, .. } = &presets().axes[axis.name()];
-        assert_eq!(unit.len(), keys.len(), "{axis}");
-        assert_eq!(directions.len(), usize::from(PRESETS), "{axis}");
-        assert!(directions.iter().all(|d| d.len() == keys.len()), "{axis}");
-    }
-
     #[test]
     fn parameters_have_the_names_and_the_order_of_the_presets() {
-        check_keys(Axis::Camera, &CameraShift::KEYS);
-        check_keys(Axis::Lighting, &LightingShift::KEYS);
-        check_keys(Axis::Robot, &RobotShift::KEYS);
-        check_keys(Axis::Sensor, &SensorCorruption::KEYS);
-        check_keys(Axis::Actuation, &ActuationDistortion::KEYS);
+        for axis in Axis::every().filter(|axis| !axis.def().parameters.is_empty()) {
+            let keys: Vec<&str> = axis.def().parameters.iter().map(|it| it.key).collect();
+            assert_eq!(file()["axes"][axis.name()]["keys"], serde_json::json!(keys));
+            let AxisPresets { unit, directions, .. } = &presets().axes[axis.name()];
+            assert_eq!(unit.len(), keys.len(), "{axis}");
+            assert_eq!(directions.len(), usize::from(PRESETS), "{axis}");
+            assert!(directions.iter().all(|d| d.len() == keys.len()), "{axis}");
+        }
     }
 
     #[test]
@@ -241,16 +211,18 @@ mod tests {
     /// decimal tie, as the manifest of the reference implementation writes them.
     #[test]
     fn parameters_equal_the_references_digits() {
-        fn values<const N: usize>(axis: Axis, level: Level, config: u16) -> [f64; N] {
-            super::values(axis, level, preset_direction(axis, config))
-        }
-        let camera: [f64; 5] = values(Axis::Camera, Level::L1, 1);
+        let values = |axis, level, config| {
+            let mut perturbation = Perturbation::default();
+            apply_preset(&mut perturbation, axis, level, config);
+            perturbation.values(axis)
+        };
+        let camera = values(Axis::Camera, Level::L1, 1);
         assert_eq!(camera, [-3.58936, 0.404697, 0.063736, 0.013033, -0.016198]);
-        let robot: [f64; 6] = values(Axis::Robot, Level::L1, 1);
+        let robot = values(Axis::Robot, Level::L1, 1);
         assert_eq!(robot, [0.00361, -0.024367, 0.016343, 4.716338, 1.696958, -4.05363]);
-        let lighting: [f64; 5] = values(Axis::Lighting, Level::L2, 1);
+        let lighting = values(Axis::Lighting, Level::L2, 1);
         assert_eq!(lighting[1], -0.617393);
-        let lighting: [f64; 5] = values(Axis::Lighting, Level::L1, 2);
+        let lighting = values(Axis::Lighting, Level::L1, 2);
         assert_eq!(lighting[1], -0.091088);
     }
 

@@ -5,7 +5,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::{Map, Value};
 
-use crate::axis::Axis;
+use crate::axis::{ActsOn, Axis};
 use crate::axis_set::AxisSet;
 use crate::condition::Condition;
 use crate::design::{PLACEBO_RADII, Placebo};
@@ -78,9 +78,9 @@ impl ManifestRow {
 
     /// A row of the latency axis keeps its own model.
     pub fn under(self, execution: &Execution) -> Self {
-        match self.id.condition() {
-            Condition::Latency => self,
-            _ => Self { execution: execution.clone(), ..self },
+        match self.id.condition().sets_execution() {
+            true => self,
+            false => Self { execution: execution.clone(), ..self },
         }
     }
 
@@ -90,10 +90,30 @@ impl ManifestRow {
     }
 
     pub fn axes(&self) -> AxisSet {
-        let metric: AxisSet = self.perturbation.axes().into_iter().collect();
-        match self.variant_id {
-            Some(_) => metric.union(AxisSet::of(Axis::Language)),
-            None => metric,
+        let given = self.perturbation.axes().into_iter();
+        let given = given.chain(self.variant_id.is_some().then_some(Axis::Language));
+        self.id.condition().axes(given.collect())
+    }
+
+    /// Describes the perturbation along one of the row's axes, one line per parameter.
+    pub fn describe(&self, axis: Axis) -> Vec<String> {
+        let def = axis.def();
+        match def.acts_on {
+            ActsOn::Answers => {
+                vec!["The policy's answers are delayed; nothing else is perturbed.".to_owned()]
+            }
+            ActsOn::Instruction if self.id.is_placebo() => {
+                vec!["the canonical instruction, as placebo".to_owned()]
+            }
+            ActsOn::Instruction => {
+                let variant = self.variant_id.as_deref().unwrap_or("as in the manifest");
+                vec![format!("paraphrase {variant}")]
+            }
+            ActsOn::Scene | ActsOn::Pictures | ActsOn::Actions => {
+                let values = def.parameters.iter().zip(self.perturbation.values(axis));
+                // Typographic minus before numbers; hyphens within words stay.
+                values.map(|(it, value)| (it.text)(value).replace(" -", " −")).collect()
+            }
         }
     }
 
@@ -195,14 +215,7 @@ struct FlatRow {
 /// Returns the reference's value of the column `split`: `clean` for nominal rollouts, `eval` for
 /// all others.
 fn split(condition: Condition) -> &'static str {
-    match condition {
-        Condition::Clean => "clean",
-        Condition::Single(_)
-        | Condition::Latency
-        | Condition::Subset(_)
-        | Condition::Combination
-        | Condition::Variant => "eval",
-    }
+    if condition == Condition::Clean { "clean" } else { "eval" }
 }
 
 impl From<ManifestRow> for FlatRow {
@@ -271,7 +284,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             let path = path.to_owned();
             return Err(RowError::OwnPath { id, path });
         }
-        if condition == Condition::Latency {
+        if condition.sets_execution() {
             let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
             if Some(&given) != expected.as_ref() {
                 return Err(RowError::Latency { id, given, expected });
@@ -329,6 +342,7 @@ fn check_column<T: PartialEq + ToString>(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::perturbation::{CameraShift, SensorCorruption};
     use crate::presets::apply_preset;
     use serde_json::json;
 
@@ -411,5 +425,36 @@ mod tests {
         placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");
         let error = serde_json::from_value::<ManifestRow>(placebo).expect_err("no radius");
         assert!(error.to_string().contains("`placebo_radius` is missing"), "{error}");
+    }
+
+    #[test]
+    fn perturbations_have_units_and_only_meaningful_signs() {
+        let perturbation = Perturbation {
+            camera: Some(CameraShift::from([-3.4, 1.25, 0.021, 0.0, -0.005])),
+            sensor: Some(SensorCorruption::from([-0.02, 0.7, -1.0, 2.5])),
+            ..Perturbation::default()
+        };
+        let id = "object/t0/combination/L2/c00".parse().expect("an id");
+        let row = ManifestRow::new(id, 0, 0, perturbation);
+        assert_eq!(
+            row.describe(Axis::Camera),
+            [
+                "azimuth −3.4°",
+                "elevation +1.2°",
+                "distance +2.1 cm",
+                "look-at point along x +0.0 cm",
+                "look-at point along y −0.5 cm",
+            ]
+        );
+        assert_eq!(
+            row.describe(Axis::Sensor),
+            [
+                "noise, standard deviation 2.00 % of full scale",
+                "blur, standard deviation 0.70 px at 128 px",
+                "JPEG quality 50",
+                "motion blur 2.50 px at 128 px",
+            ]
+        );
+        assert!(row.describe(Axis::Robot).is_empty());
     }
 }

@@ -34,7 +34,7 @@ pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
         Condition::Subset(_) | Condition::Combination => {
             Axis::METRIC.iter().position(|&metric| metric == axis)
         }
-        Condition::Clean | Condition::Single(_) | Condition::Latency | Condition::Variant => None,
+        _ => None,
     };
     u64::from(rollout_seed(id)) + 1000 * index.unwrap_or(0) as u64
 }

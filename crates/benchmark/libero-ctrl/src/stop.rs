@@ -76,7 +76,9 @@ pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     let mut units: BTreeMap<(TaskRef, u16), BTreeSet<(Level, Condition)>> = BTreeMap::new();
     for id in rows.iter().map(|row| row.id) {
         let Some(config) = id.config() else { continue };
-        if let Condition::Single(axis) = id.condition() {
+        if let Condition::Single(axis) = id.condition()
+            && axis.def().is_combined
+        {
             axes.insert(axis);
         }
         // Placebo rollouts may cover only some configurations and do not affect the rule.

@@ -41,24 +41,24 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
     if let Some(shift) = &perturbation.camera {
         let pose = shift_camera(&camera, look_at, shift);
         let values = [pose.position.as_slice(), &pose.quat_wxyz].concat();
-        realised.add(Axis::Camera, &shift.values(), &values, &[]);
+        realised.add(Axis::Camera, &perturbation.values(Axis::Camera), &values, &[]);
     }
     if let Some(shift) = &perturbation.lighting {
         let values = lighting_values(&shift_lighting(&nominal_lighting(), look_at, shift));
-        realised.add(Axis::Lighting, &shift.values(), &values, &[]);
+        realised.add(Axis::Lighting, &perturbation.values(Axis::Lighting), &values, &[]);
     }
     if let Some(shift) = &perturbation.robot {
         let ranges: [JointRange; JOINTS] = [[-2.8, 2.8]; JOINTS];
         let solution = solve_shifted_pose(arm, &nominal_arm(), &ranges, shift);
         let values = solution.joints.as_slice();
-        realised.add(Axis::Robot, &shift.values(), values, &[]);
+        realised.add(Axis::Robot, &perturbation.values(Axis::Robot), values, &[]);
     }
     if let Some(corruption) = &perturbation.sensor {
         let randomness = Randomness::of(&row.id, Axis::Sensor, mode);
         let mut stage = SensorStage::new(corruption, &randomness);
         let fixed = stage.realised();
         let pixels = pictures(&mut stage);
-        realised.add(Axis::Sensor, &corruption.values(), &fixed, &pixels);
+        realised.add(Axis::Sensor, &perturbation.values(Axis::Sensor), &fixed, &pixels);
     }
     if let Some(distortion) = &perturbation.actuation {
         let randomness = Randomness::of(&row.id, Axis::Actuation, mode);
@@ -66,7 +66,7 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
         let mut stage = ActuationStage::new(distortion, rms, &randomness);
         let fixed = stage.realised();
         let outputs = actions(&mut stage);
-        realised.add(Axis::Actuation, &distortion.values(), &fixed, &outputs);
+        realised.add(Axis::Actuation, &perturbation.values(Axis::Actuation), &fixed, &outputs);
     }
     realised
 }

@@ -1,6 +1,6 @@
 //! Parameters of the search for thresholds: grid and tolerance.
 
-use libero_ctrl::{Axis, AxisSet, Condition, Level, STEPS_PER_RADIUS, Thresholds, delay_at};
+use libero_ctrl::{AxisSet, Condition, Level, Radii, Thresholds};
 
 /// Rounding error by which a bracket may exceed the tolerance: radii have six decimals.
 const ROUNDING: f64 = 1e-5;
@@ -18,35 +18,28 @@ pub struct Search {
     /// Largest width of a finished bracket, in units of radius; `None` if no radii between
     /// those of the grid exist.
     pub tolerance: Option<f64>,
-    /// Distance between neighbouring radii that can be run; `None` for all conditions but latency.
+    /// Distance between neighbouring radii that can be run; `None` if all can.
     pub spacing: Option<f64>,
 }
 
 impl Search {
-    /// Returns the search for the thresholds of a condition in a campaign of the given axes. A
-    /// condition that perturbs language runs only at the protocol's levels, because only those have
-    /// paraphrases. Latency runs only at radii whose delay is a whole number of control steps.
+    /// Returns the search for the thresholds of a condition in a campaign of the given axes, over
+    /// the radii at which all axes of the condition run.
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
-        if condition == Condition::Latency {
-            let spacing = 1.0 / STEPS_PER_RADIUS;
-            let whole_steps = Thresholds {
-                max_radius: (thresholds.max_radius / spacing).floor() * spacing,
-                ..thresholds.clone()
-            };
-            let mut grid = whole_steps.grid();
-            grid.retain(|level| delay_at(*level).is_some());
-            return Self {
-                grid,
-                tolerance: Some(thresholds.tolerance.max(spacing)),
-                spacing: Some(spacing),
-            };
+        let radii: Vec<Radii> = condition.axes(axes).axes().map(|axis| axis.def().radii).collect();
+        let spacing = radii.iter().find_map(|radii| match radii {
+            Radii::Multiples(of) => Some(*of),
+            Radii::Any | Radii::Named => None,
+        });
+        let mut max_radius = thresholds.max_radius;
+        if let Some(spacing) = spacing {
+            max_radius = (max_radius / spacing).floor() * spacing;
         }
-        let mut grid = thresholds.grid();
-        if !condition.axes(axes).contains(Axis::Language) {
-            return Self { grid, tolerance: Some(thresholds.tolerance), spacing: None };
-        }
-        grid.retain(|level| level.is_named());
-        Self { grid, tolerance: None, spacing: None }
+        let mut grid = Thresholds { max_radius, ..thresholds.clone() }.grid();
+        grid.retain(|level| radii.iter().all(|radii| radii.contains(*level)));
+        let tolerance = thresholds.tolerance.max(spacing.unwrap_or_default());
+        let tolerance = (!radii.contains(&Radii::Named)).then_some(tolerance);
+        Self { grid, tolerance, spacing }
     }
 
     /// Returns the radius that halves a bracket; `None` if the bracket is narrow enough, or if no

@@ -55,7 +55,7 @@ impl Lattice {
     /// all axes, and nominally. A missing nominal rollout is skipped, because no decision waits for
     /// it.
     pub fn add_replicate(&mut self, matched: &Matched) -> Result<(), LatticeError> {
-        for (&axis, &outcome) in &matched.alone {
+        for (axis, outcome) in matched.combined() {
             self.record_source(AxisSet::of(axis), outcome)?;
         }
         self.record_source(self.full, matched.simultaneous)?;

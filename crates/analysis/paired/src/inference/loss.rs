@@ -48,10 +48,11 @@ const SUCCESS: usize = 2;
 
 impl Loss {
     /// Computes the loss under each axis alone and under simultaneous perturbation. Conditions for
-    /// which no configuration has both outcomes are left out, and so are latency and subsets.
+    /// which no configuration has both outcomes are left out, and so are subsets and axes that are not
+    /// combined.
     pub(crate) fn of_each(matched: &[Matched], directions: Directions) -> Losses {
-        let axes = matched.iter().flat_map(|matched| matched.alone.keys());
-        let conditions = axes.map(|&axis| Condition::Single(axis));
+        let axes = matched.iter().flat_map(Matched::combined);
+        let conditions = axes.map(|(axis, _)| Condition::Single(axis));
         let conditions = conditions.chain([Condition::Combination]);
         let mut losses: Losses = BTreeMap::new();
         for condition in conditions {

@@ -446,14 +446,13 @@ fn latency_has_a_success_rate_and_is_in_no_paired_measure() {
         3 => Outcome::Missing,
         _ => Outcome::Failure,
     };
-    records.extend((0..4).map(|index| record(Condition::Latency, index, latency_outcome(index))));
+    let latency = Condition::Single(Axis::Latency);
+    records.extend((0..4).map(|index| record(latency, index, latency_outcome(index))));
     let with = report(&records, &options).expect("no duplicates");
     assert_eq!((&with.axes, with.cells.len()), (&without.axes, 1));
-    let (cell, before) = (&with.cells[0], &without.cells[0]);
-    assert_eq!((&cell.paired, &cell.alone), (&before.paired, &before.alone));
-    assert_eq!(cell.completeness.complete, before.completeness.complete);
-    let count = cell.latency.as_ref().expect("a rate").count;
+    let (mut cell, before) = (with.cells[0].clone(), &without.cells[0]);
+    let count = cell.alone.remove(&Axis::Latency).expect("a rate").count;
     assert_eq!(count, Count { successes: 0, n: 3 });
-    assert_eq!(cell.completeness.gaps[&Condition::Latency].missing, 1);
-    assert_eq!(before.latency, None);
+    assert_eq!(cell.completeness.gaps.remove(&latency).expect("a gap").missing, 1);
+    assert_eq!(cell, *before);
 }

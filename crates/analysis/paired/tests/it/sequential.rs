@@ -309,7 +309,6 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
         init_id: 0,
         nominal: Outcome::Missing,
         alone: [(Axis::Camera, camera), (Axis::Robot, robot)].into(),
-        latency: None,
         subsets: std::collections::BTreeMap::new(),
         simultaneous,
     }

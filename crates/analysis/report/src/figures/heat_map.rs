@@ -44,11 +44,10 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
     if rows.is_empty() {
         return None;
     }
-    let all = Axis::ALL.map(Condition::Single).into_iter();
+    let all = Axis::every().map(Condition::Single);
     let is_run =
         |condition: &Condition| rows.iter().any(|(_, cell)| count(cell, *condition).is_some());
-    let last = [Condition::Latency, Condition::Combination];
-    let columns: Vec<Condition> = all.chain(last).filter(is_run).collect();
+    let columns: Vec<Condition> = all.chain([Condition::Combination]).filter(is_run).collect();
     let width = (WIDTH - LABEL_WIDTH - 6.0) / columns.len().max(1) as f64;
     let counts = rows.iter().flat_map(|(_, cell)| {
         let counts = columns.iter().filter_map(|condition| count(cell, *condition));
@@ -85,7 +84,6 @@ fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
         Condition::Clean | Condition::Subset(_) | Condition::Variant => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
-        Condition::Latency => cell.latency.as_ref().map(|latency| latency.count),
         Condition::Combination => cell.simultaneous,
     }
 }

@@ -146,15 +146,9 @@ fn label(set: AxisSet, full: AxisSet) -> String {
     }
 }
 
-fn abbreviation(axis: Axis) -> &'static str {
-    match axis {
-        Axis::Camera => "Ca",
-        Axis::Lighting => "Li",
-        Axis::Robot => "Ro",
-        Axis::Sensor => "Se",
-        Axis::Actuation => "Ac",
-        Axis::Language => "La",
-    }
+fn abbreviation(axis: Axis) -> String {
+    let [first, second] = [0, 1].map(|letter| &axis.name()[letter..=letter]);
+    first.to_uppercase() + second
 }
 
 fn legend(top: f64, has_minimal: bool) -> Markup {

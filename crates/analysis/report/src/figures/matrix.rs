@@ -3,7 +3,7 @@
 
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Axis, Condition, Level, RolloutId, Suite, TaskRef};
+use libero_ctrl::{Condition, Level, RolloutId, Suite, TaskRef};
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Transition};
 
@@ -171,12 +171,8 @@ fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
 /// Returns the tooltip of a configuration: its outcomes in words.
 fn tooltip(matched: &Matched) -> String {
     let conditions_with = |outcome: Outcome| -> Vec<&str> {
-        let axes = Axis::ALL.into_iter().map(Condition::Single);
+        let axes = matched.combined().map(|(axis, _)| Condition::Single(axis));
         axes.chain([Condition::Combination])
-            .filter(|c| match c {
-                Condition::Single(axis) => matched.alone.contains_key(axis),
-                _ => true,
-            })
             .filter(|&condition| matched.outcome(condition) == outcome)
             .map(Condition::label)
             .collect()

@@ -42,11 +42,10 @@ fn configuration_columns<'a>() -> Vec<Column<'a, OfConfiguration<'a>>> {
         ("init_id", Number, |(_, m)| number(m.init_id)),
         ("nominal", Bool, |(_, m)| Value::Bool(m.nominal.success())),
     ]);
-    let alone = Axis::ALL.into_iter().map(|axis| -> Column<'a, OfConfiguration<'a>> {
+    let alone = Axis::every().map(|axis| -> Column<'a, OfConfiguration<'a>> {
         (axis.name().to_owned(), Bool, Box::new(move |(_, m)| alone(m, axis)))
     });
     let joint: Vec<Column<'a, OfConfiguration<'a>>> = columns([
-        ("latency", Bool, |(_, m)| Value::Bool(m.latency.and_then(Outcome::success))),
         ("conjunction", Bool, |(_, m)| Value::Bool(m.configuration().map(|c| c.conjunction()))),
         ("combination", Bool, |(_, m)| Value::Bool(m.simultaneous.success())),
         ("transition", Text, |(_, m)| {
@@ -86,10 +85,8 @@ fn unresolved((analysis, matched): &OfConfiguration<'_>) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
     let simultaneous = analysis.records.has_simultaneous();
     let simultaneous = simultaneous.then_some(Condition::Combination);
-    let unresolved = alone
-        .chain(matched.latency.map(|_| Condition::Latency))
-        .chain(simultaneous)
-        .filter_map(|condition| match matched.outcome(condition) {
+    let unresolved =
+        alone.chain(simultaneous).filter_map(|condition| match matched.outcome(condition) {
             Outcome::Missing => Some(format!("{condition} missing")),
             Outcome::Quarantined => Some(format!("{condition} quarantined")),
             Outcome::Success | Outcome::Failure => None,

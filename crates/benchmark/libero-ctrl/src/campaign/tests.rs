@@ -148,7 +148,7 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
     assert!(text.contains(r#""axes":["camera","robot","latency"]"#), "{text}");
     assert_eq!(CampaignSpec::from_json(&text), Ok(late.clone()));
     let rows = late.expand().expect("rows");
-    let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
+    let is_late = |row: &&ManifestRow| row.id.condition().sets_execution();
     let (latency, others): (Vec<&ManifestRow>, Vec<&ManifestRow>) = rows.iter().partition(is_late);
     // Two tasks, ten configurations, three levels: the placebo level has no latency rollouts.
     assert_eq!(latency.len(), 2 * 10 * 3);

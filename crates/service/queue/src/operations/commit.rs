@@ -1,7 +1,6 @@
 //! End of an attempt with a result. Results that arrive together are judged one after the other,
 //! and the accepted results are stored by the same statements.
 
-use libero_ctrl::Condition;
 use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
 
 use super::context::Context;
@@ -142,9 +141,9 @@ impl Context<'_> {
             };
             return self.refuse(attempt, reason, detail).await;
         }
-        let wanted = match attempt.row.id.condition() {
-            Condition::Latency => attempt.row.execution.to_string(),
-            _ => campaign.execution.clone(),
+        let wanted = match attempt.row.id.condition().sets_execution() {
+            true => attempt.row.execution.to_string(),
+            false => campaign.execution.clone(),
         };
         let reported = report.provenance.execution();
         if reported != wanted {

@@ -9,13 +9,6 @@ use rollout_types::{Digests, Provenance, Realised, RolloutResult};
 
 use crate::ids::WorkerId;
 
-/// Axes that affect the first observation. The others change later observations, actions or the
-/// instruction.
-const IN_FIRST_FRAME: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
-/// Axes without random values: the parameters and the initial state alone determine the realised
-/// values, whether the campaign's realisation is `matched` or `reference`.
-const WITHOUT_RANDOM_VALUES: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
-
 /// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
 pub(crate) struct Demand<'a> {
@@ -135,13 +128,13 @@ fn must_share(axis: Axis, mode: Realisation, first: &RolloutId, second: &Rollout
     match mode {
         Realisation::Matched => is_same_configuration,
         // Random values are seeded with the rollout's id.
-        Realisation::Reference if WITHOUT_RANDOM_VALUES.contains(&axis) => is_same_configuration,
+        Realisation::Reference if !axis.def().is_random => is_same_configuration,
         Realisation::Reference => first == second,
     }
 }
 
-/// Compares first frames. For one scene and initial state, the axes in `IN_FIRST_FRAME` determine
-/// the policy's first observation. It is therefore equal in all replicates of a rollout, and in the
+/// Compares first frames. For one scene and initial state, the axes that act on the scene or the
+/// pictures determine the policy's first observation. It is therefore equal in all replicates of a rollout, and in the
 /// nominal rollout and the rollouts that perturb only actions or the instruction. Frames are
 /// compared bit by bit, and only between results with the same renderer, fingerprint and policy, in
 /// which the realised values of these axes have the same bits.
@@ -150,10 +143,10 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
         return None;
     }
     let has_same_view = |sibling: &&Sibling| {
-        let has_same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
+        let has_same_values = |axis| sibling.realised.of(axis) == result.realised.of(axis);
         !sibling.digests.first_frame.is_empty()
             && must_share_frames(&sibling.origin, &result.origin)
-            && IN_FIRST_FRAME.iter().all(has_same_values)
+            && Axis::every().filter(|axis| axis.def().in_first_frame()).all(has_same_values)
     };
     let sibling = siblings.iter().find(has_same_view)?;
     let (value, other_value) = (&result.digests.first_frame, &sibling.digests.first_frame);
@@ -292,7 +285,7 @@ mod tests {
 
     #[test]
     fn reference_mode_draws_sensor_and_actuation_anew_in_every_rollout() {
-        for axis in WITHOUT_RANDOM_VALUES {
+        for axis in [Axis::Camera, Axis::Lighting, Axis::Robot] {
             let difference = difference_from_single(Realisation::Reference, axis);
             check(difference, &[&format!("realisation of axis {axis}")]);
         }

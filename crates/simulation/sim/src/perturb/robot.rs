@@ -82,10 +82,11 @@ struct Target {
 
 impl Target {
     fn new(nominal: &ArmState, shift: &RobotShift) -> Self {
-        let [dx, dy, dz, rx, ry, rz] = shift.values();
-        let turn = Vector3::new(rx, ry, rz).map(f64::to_radians);
+        let moved = Vector3::new(shift.eef_dx_m, shift.eef_dy_m, shift.eef_dz_m);
+        let turn = Vector3::new(shift.eef_rx_deg, shift.eef_ry_deg, shift.eef_rz_deg);
+        let turn = turn.map(f64::to_radians);
         Self {
-            position: nominal.position + Vector3::new(dx, dy, dz),
+            position: nominal.position + moved,
             rotation: Rotation3::from_scaled_axis(turn).matrix() * nominal.rotation,
         }
     }

@@ -177,7 +177,7 @@ fn a_latency_threshold_is_found_to_the_control_step() {
         [(16.0, "L1 L2 L3 r16"), (15.0, "L1 L2 L3 r14"), (14.0, "L1 L2 L3 r14"), (5.5, "L1 L2")]
     {
         let measured = thresholds(0.5, max_radius);
-        let search = Search::of(&measured, Condition::Latency, AxisSet::ALL);
+        let search = Search::of(&measured, Condition::Single(Axis::Latency), AxisSet::ALL);
         let radii: Vec<String> = search.grid.iter().map(Level::to_string).collect();
         assert_eq!(radii.join(" "), grid);
         for tolerated in 0..=7_u16 {
