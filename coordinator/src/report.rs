@@ -74,7 +74,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_by_suite: Vec::new(),
         reported_nominal: None,
         setups: Setups::default(),
-        protocol: spec.rollouts.protocol(),
+        protocol: spec.rollouts.protocol().map(str::to_owned),
         derived: derived(view, campaign, spec.rollouts).await?,
         early_stop: early_stop(view, campaign).await?,
     })
@@ -90,10 +90,7 @@ async fn derived(
     let purpose = match rollouts {
         Rollouts::Explanation(explanation) => Purpose::Explanation(explanation),
         Rollouts::Thresholds(thresholds) => Purpose::Thresholds(thresholds),
-        Rollouts::Design(_)
-        | Rollouts::Manifest(_)
-        | Rollouts::Variants(_)
-        | Rollouts::SuiteFile(_) => return Ok(None),
+        Rollouts::Design(_) | Rollouts::Manifest(_) => return Ok(None),
     };
     let Some(source) = view.source(campaign.id).await? else {
         return Ok(None);

@@ -16,6 +16,7 @@ use libero_ctrl::{
     Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef, UnknownName,
     Wanted, select_tasks,
 };
+use libero_family::Lacking;
 use proto::coordinator::CreateCampaignRequest;
 use queue::expand::NewCampaign;
 use queue::rules::campaign::PRIORITIES;
@@ -268,8 +269,8 @@ struct DesignFlags {
 }
 
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
-    let spec = match &arguments.spec {
-        Some(path) => read_spec(path)?,
+    let (spec, left_out) = match &arguments.spec {
+        Some(path) => (read_spec(path)?, Lacking::default()),
         None => spec_of_flags(&arguments)?,
     };
     // Expanding the specification here reports its errors before the coordinator is contacted.
@@ -296,7 +297,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
-        print_left_out(&spec)?;
+        print_left_out(&left_out)?;
         print_placebo(&campaign)?;
         print_stop(&spec, &campaign)?;
         print_execution(&spec, unknown.as_deref())?;
@@ -317,7 +318,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {verb}: {total}"))?;
-    print_left_out(&spec)?;
+    print_left_out(&left_out)?;
     print_stop(&spec, &campaign)?;
     print_execution(&spec, unknown.as_deref())?;
     if created.priority != arguments.priority {
@@ -350,11 +351,7 @@ fn print_execution(spec: &CampaignSpec, unknown: Option<&str>) -> Result<(), Com
 }
 
 /// Prints the variants that the campaign leaves out.
-fn print_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
-    let Rollouts::Variants(variants) = &spec.rollouts else {
-        return Ok(());
-    };
-    let left_out = libero_family::left_out(variants).map_err(usage)?;
+fn print_left_out(left_out: &Lacking) -> Result<(), CommandError> {
     if left_out.count() > 0 {
         let count = counted(left_out.count() as u64, "variant");
         print_line(&format!(
@@ -397,14 +394,17 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
+/// Returns the specification, and the variants that it leaves out.
+fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking), CommandError> {
     let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
-    let selection = arguments.variants.rollouts(&chosen_tasks)?;
-    let rollouts = match (&arguments.flags.manifest, selection) {
-        (Some(path), _) => Rollouts::Manifest(read_manifest(path)?),
-        (None, Some(rollouts)) => rollouts,
-        (None, None) => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
-    };
+    let (rollouts, left_out) =
+        match (&arguments.flags.manifest, arguments.variants.rows(&chosen_tasks)?) {
+            (Some(path), _) => (Rollouts::Manifest(read_manifest(path)?), Lacking::default()),
+            (None, Some((rows, left_out))) => (Rollouts::Manifest(rows), left_out),
+            (None, None) => {
+                (Rollouts::Design(design_of_flags(arguments).map_err(usage)?), Lacking::default())
+            }
+        };
     let execution = match &arguments.flags.execution {
         Some(text) => execution(text).map_err(usage)?,
         None => rollouts.execution(),
@@ -432,7 +432,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         execution,
     };
     spec.check().map_err(usage)?;
-    Ok(spec)
+    Ok((spec, left_out))
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {

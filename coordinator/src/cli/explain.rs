@@ -104,7 +104,7 @@ fn next(
     explanation: &Explanation,
 ) -> anyhow::Result<Vec<NextRow>> {
     let records = explaining.derived.as_ref().map_or(&[][..], |derived| &derived.records);
-    let rows = libero_family::expand(source)?.into_iter().map(|row| (row.id, row));
+    let rows = source.expand()?.into_iter().map(|row| (row.id, row));
     let rows: BTreeMap<RolloutId, ManifestRow> = rows.collect();
     let additions = additions(records, &explaining.records, explanation).into_iter();
     let row = |Addition { simultaneous, axes, replicates }| {

@@ -121,23 +121,23 @@ impl Search<'_> {
 
     /// Returns the reason why the source's rollouts allow no such search, and the remedy.
     fn problem(&self, source: &Rollouts) -> Option<String> {
-        let benchmark = match source {
-            Rollouts::Variants(variants) => variants.benchmark.name(),
-            Rollouts::SuiteFile(file) => &file.name,
+        if let Some(protocol) = source.protocol() {
+            return Some(format!(
+                "its rows are of protocol {protocol}, which has no axes to explain and no \
+                 thresholds; name a campaign of LIBERO-CTRL"
+            ));
+        }
+        match source {
             // Its outcomes are not final, since it may get further rollouts.
             Rollouts::Explanation(Explanation { campaign, .. })
             | Rollouts::Thresholds(Thresholds { campaign, .. }) => {
-                return Some(format!("it is itself derived from `{campaign}`; name `{campaign}`"));
+                Some(format!("it is itself derived from `{campaign}`; name `{campaign}`"))
             }
             Rollouts::Design(_) | Rollouts::Manifest(_) => {
                 let Rollouts::Thresholds(thresholds) = &self.rollouts else { return None };
-                return thresholds.check_measurable(source).err().map(|error| error.to_string());
+                thresholds.check_measurable(source).err().map(|error| error.to_string())
             }
-        };
-        Some(format!(
-            "it is of {benchmark}, which has no axes to explain and no thresholds; name a campaign \
-             of LIBERO-CTRL"
-        ))
+        }
     }
 
     /// Waits until every rollout of the source that will ever have an outcome has one: only then

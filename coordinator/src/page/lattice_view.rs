@@ -100,11 +100,7 @@ async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Expl
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     Ok(match spec.rollouts {
         Rollouts::Explanation(explanation) => Some(explanation),
-        Rollouts::Design(_)
-        | Rollouts::Manifest(_)
-        | Rollouts::Thresholds(_)
-        | Rollouts::Variants(_)
-        | Rollouts::SuiteFile(_) => None,
+        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Thresholds(_) => None,
     })
 }
 

@@ -10,7 +10,7 @@ use queue::invariants;
 use serde_json::{Value, json};
 
 use crate::harness::small_spec;
-use crate::process::{Serve, coordinator, fail, succeed, text};
+use crate::process::{Serve, coordinator, fail, plus_spec, succeed, text};
 
 fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
     let path = folder.join(name);
@@ -72,16 +72,9 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
 #[test]
 fn the_nominal_rows_of_liberos_family_are_those_of_unperturbed_tasks() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let spec = json!({
-        "name": "plus",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "variants": {
-            "benchmark": "libero-plus", "protocol": "plus-official",
-            "variants": ["put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30"],
-        },
-    });
     let path = folder.path().join("spec.json");
-    std::fs::write(&path, spec.to_string()).expect("written");
+    let noise = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
+    std::fs::write(&path, plus_spec(noise).to_string()).expect("written");
     let spec = ["--spec", path.to_str().expect("UTF-8"), "--split"];
     for (split, expected) in
         [("nominal", "goal/t8/plus:unperturbed/i00"), ("eval", "goal/t8/plus:noise_30/i00")]

@@ -20,9 +20,7 @@ use crate::row::ManifestRow;
 use crate::spec_error::{MAX_REPLICATES, SpecError};
 use crate::stop::{self, Stop, StopError};
 use crate::suite::TaskRef;
-use crate::suite_file::SuiteFile;
 use crate::thresholds::Thresholds;
-use crate::variants::{Variants, VariantsError};
 use crate::wanted::{RendererKind, Wanted};
 use crate::wording::JsonError;
 
@@ -30,8 +28,7 @@ use crate::wording::JsonError;
 ///
 /// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels` and
 /// optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`, `placebo_radius` and
-/// `placebo_configs`; or, instead of all these, `manifest`, `explains`, `thresholds`, `variants`
-/// or `suite_file`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
+/// `placebo_configs`; or, instead of all these, `manifest`, `explains` or `thresholds`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -64,9 +61,6 @@ pub enum Rollouts {
     Explanation(Explanation),
     /// Further radii, selected from the outcomes of another campaign.
     Thresholds(Thresholds),
-    /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
-    Variants(Variants),
-    SuiteFile(Box<SuiteFile>),
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -116,18 +110,17 @@ impl Rollouts {
     /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
     pub fn source(&self) -> Option<&str> {
         match self {
-            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => None,
+            Self::Design(_) | Self::Manifest(_) => None,
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => Some(campaign),
         }
     }
 
-    /// Returns the name of the protocol of LIBERO's family or of a suite file; `None` for
-    /// LIBERO-CTRL.
-    pub fn protocol(&self) -> Option<String> {
+    /// Returns the protocol of the rows, if they are of LIBERO's family or of a suite file; `None`
+    /// for LIBERO-CTRL.
+    pub fn protocol(&self) -> Option<&str> {
         match self {
-            Self::Variants(variants) => Some(variants.protocol.clone()),
-            Self::SuiteFile(file) => Some(file.protocol()),
+            Self::Manifest(rows) => rows.first()?.protocol.as_deref(),
             _ => None,
         }
     }
@@ -147,7 +140,7 @@ impl Rollouts {
 
     pub fn set_source(&mut self, name: &str) {
         match self {
-            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => {}
+            Self::Design(_) | Self::Manifest(_) => {}
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => name.clone_into(campaign),
         }
@@ -190,28 +183,6 @@ impl CampaignSpec {
                 }
             }
             Rollouts::Manifest(rows) => self.check_rows(rows)?,
-            Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
-                let defined_by = match &self.rollouts {
-                    Rollouts::SuiteFile(file) => {
-                        file.check()?;
-                        "suite_file"
-                    }
-                    _ => "variants",
-                };
-                let (execution, stops) = (&self.execution, self.stop.is_some());
-                let (realisation, replicates) = (self.realisation, self.replicates);
-                let excluded = VariantsError::excluded(
-                    defined_by,
-                    realisation,
-                    replicates,
-                    self.record,
-                    execution,
-                    stops,
-                );
-                if let Some(error) = excluded {
-                    return Err(error.into());
-                }
-            }
             Rollouts::Explanation(explanation) => {
                 if explanation.campaign.is_empty() {
                     return empty("explains.campaign", "name the campaign to explain");
@@ -237,7 +208,7 @@ impl CampaignSpec {
                 Rollouts::Design(design) if design.axes.len() < 2 => {
                     return Err(StopError::NotSimultaneous.into());
                 }
-                Rollouts::Design(_) | Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {}
+                Rollouts::Design(_) => {}
                 Rollouts::Manifest(rows) => stop::check_rows(rows)?,
                 Rollouts::Explanation(_) => return Err(derived("explains").into()),
                 Rollouts::Thresholds(_) => return Err(derived("thresholds").into()),
@@ -249,9 +220,6 @@ impl CampaignSpec {
     /// Validates rows to be run under this specification.
     pub fn check_rows(&self, rows: &[ManifestRow]) -> Result<(), SpecError> {
         manifest::check(rows)?;
-        if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
-            return Err(SpecError::VariantRow { id: row.id });
-        }
         let is_late = |row: &&ManifestRow| row.id.condition() == Condition::Latency;
         let row_model = rows.iter().find(|row| !is_late(row)).map(|row| &row.execution);
         if let Some(row_model) = row_model.filter(|model| !model.is_wait())
@@ -281,8 +249,6 @@ impl CampaignSpec {
             Rollouts::Manifest(rows) => DesignVersion::of_rows(rows),
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
             Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
-            Rollouts::Variants(variants) => DesignVersion::of_variants(variants),
-            Rollouts::SuiteFile(file) => DesignVersion::of_suite_file(file),
         };
         version.under(&self.execution)
     }
@@ -319,10 +285,6 @@ struct SpecText {
     explains: Option<Explanation>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     thresholds: Option<Thresholds>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    variants: Option<Variants>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    suite_file: Option<Box<SuiteFile>>,
     #[serde(default)]
     realisation: Realisation,
     #[serde(default = "default_replicates")]
@@ -345,8 +307,7 @@ struct SpecText {
 enum TextError {
     #[error(
         "the field `{0}` is missing: a specification has `tasks`, `axes` and \
-         `levels`, or one of `manifest`, `explains`, `thresholds`, `variants` and `suite_file` \
-         instead"
+         `levels`, or one of `manifest`, `explains` and `thresholds` instead"
     )]
     Missing(&'static str),
     #[error("`{other}` and `{field}` both define the rollouts: remove one of them")]
@@ -368,10 +329,6 @@ impl TryFrom<SpecText> for CampaignSpec {
             Rollouts::Explanation(explanation)
         } else if let Some(thresholds) = text.thresholds.take() {
             Rollouts::Thresholds(thresholds)
-        } else if let Some(variants) = text.variants.take() {
-            Rollouts::Variants(variants)
-        } else if let Some(file) = text.suite_file.take() {
-            Rollouts::SuiteFile(file)
         } else {
             Rollouts::Design(design(&mut text)?)
         };
@@ -407,8 +364,6 @@ impl From<CampaignSpec> for SpecText {
             manifest: None,
             explains: None,
             thresholds: None,
-            variants: None,
-            suite_file: None,
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
@@ -422,8 +377,6 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Manifest(rows) => text.manifest = Some(rows),
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
-            Rollouts::Variants(variants) => text.variants = Some(variants),
-            Rollouts::SuiteFile(file) => text.suite_file = Some(file),
             Rollouts::Design(design) => {
                 text.axes = Some(design.any_axes());
                 if design.has_placebo() {
@@ -449,8 +402,6 @@ fn check_single_source(text: &SpecText) -> Result<(), TextError> {
         ("manifest", text.manifest.is_some()),
         ("explains", text.explains.is_some()),
         ("thresholds", text.thresholds.is_some()),
-        ("variants", text.variants.is_some()),
-        ("suite_file", text.suite_file.is_some()),
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
         ("subsets", text.subsets.is_some()),
@@ -462,7 +413,7 @@ fn check_single_source(text: &SpecText) -> Result<(), TextError> {
         ("placebo_radius", text.placebo_radius.is_some()),
         ("placebo_configs", text.placebo_configs.is_some()),
     ];
-    let exclusive = &written[..5];
+    let exclusive = &written[..3];
     let Some(&(field, _)) = exclusive.iter().find(|(_, is_written)| *is_written) else {
         return Ok(());
     };

@@ -1,5 +1,5 @@
-//! Identifiers of designs: v0.1, custom designs, manifests, campaigns derived from another one's
-//! outcomes, variants, and suite files.
+//! Identifiers of designs: v0.1, custom designs, manifests, and campaigns derived from another
+//! one's outcomes.
 
 use serde::Serialize;
 
@@ -10,22 +10,18 @@ use crate::execution::Execution;
 use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
 use crate::row::ManifestRow;
-use crate::suite_file::SuiteFile;
 use crate::thresholds::Thresholds;
-use crate::variants::Variants;
 
 const V0_1: &str = "v0.1";
 const CUSTOM: &str = "custom-";
 const MANIFEST: &str = "manifest-";
 const EXPLAINS: &str = "explains-";
 const THRESHOLDS: &str = "thresholds-";
-const VARIANTS: &str = "variants-";
-const SUITE: &str = "suite-";
 
 /// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
 /// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-`, `thresholds-`, `variants-` or `suite-` and a checksum of the
-/// specification's field that defines the rollouts.
+/// imported rows, or `explains-` or `thresholds-` and a checksum of that field of the
+/// specification.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
@@ -79,21 +75,13 @@ impl DesignVersion {
         Self::of_derived(THRESHOLDS, thresholds)
     }
 
-    pub(crate) fn of_variants(variants: &Variants) -> Self {
-        Self::of_derived(VARIANTS, variants)
-    }
-
-    pub(crate) fn of_suite_file(file: &SuiteFile) -> Self {
-        Self::of_derived(SUITE, file)
-    }
-
     /// Returns the version of the same rollouts under an execution model: this version for `wait`,
     /// and a distinct version for every other model.
     pub(crate) fn under(self, execution: &Execution) -> Self {
         if execution.is_wait() {
             return self;
         }
-        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
+        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS];
         let prefix = prefixes.into_iter().find(|prefix| self.0.starts_with(prefix));
         let text = format!("{} {execution}", self.0);
         Self(format!("{}{:08x}", prefix.unwrap_or(CUSTOM), crc32fast::hash(text.as_bytes())))
@@ -119,7 +107,7 @@ impl std::str::FromStr for DesignVersion {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
+        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS];
         match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
             true => Ok(Self(text.to_owned())),
             false => {
@@ -129,8 +117,6 @@ impl std::str::FromStr for DesignVersion {
                     "manifest-CHECKSUM",
                     "explains-CHECKSUM",
                     "thresholds-CHECKSUM",
-                    "variants-CHECKSUM",
-                    "suite-CHECKSUM",
                 ];
                 Err(UnknownName::new("design", text, &valid))
             }

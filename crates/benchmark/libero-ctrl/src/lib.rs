@@ -42,9 +42,9 @@ mod stop;
 mod stop_rule;
 mod suite;
 mod suite_file;
+mod task_key;
 mod thresholds;
 mod variant_name;
-mod variants;
 mod wanted;
 mod wording;
 
@@ -65,7 +65,7 @@ pub use level::Level;
 pub use look::Look;
 pub use measurable::NotMeasurable;
 pub use names::UnknownName;
-pub use own_task::{Beginning, Changes, OwnTask};
+pub use own_task::{Beginning, Changes, InvalidField, OwnTask};
 pub use paraphrase::{Paraphrase, paraphrase};
 pub use perturbation::{
     ActuationDistortion, CameraShift, LightingShift, PerturbError, Perturbation, RobotShift,
@@ -80,8 +80,8 @@ pub use stop::{Stop, StopError, Strata};
 pub use stop_rule::{Clause, Measure, StopRule};
 pub use suite::{INIT_STATES_PER_TASK, Suite, TASKS_PER_SUITE, TaskRef};
 pub use suite_file::{FileSuite, FileTask, SuiteFile, SuiteFileError, SuitePrompt};
+pub use task_key::TaskKey;
 pub use thresholds::{MAX_RADII, TOLERANCES, Thresholds};
 pub use variant_name::VariantName;
-pub use variants::{Variants, VariantsError};
 pub use wanted::{RendererKind, Wanted};
 pub use wording::{JsonError, plain_words};

@@ -1,10 +1,7 @@
 use crate::design::DesignError;
 use crate::execution::Execution;
 use crate::manifest::ManifestErrors;
-use crate::rollout_id::RolloutId;
 use crate::stop::StopError;
-use crate::suite_file::SuiteFileError;
-use crate::variants::VariantsError;
 use crate::wanted::MIN_DIGEST_DIGITS;
 
 pub const MAX_REPLICATES: u32 = 100;
@@ -56,17 +53,6 @@ pub enum SpecError {
     Stop(StopError),
     #[error("read campaign specification: {0}")]
     Design(DesignError),
-    #[error("read campaign specification: {0}")]
-    Variants(VariantsError),
-    #[error("read campaign specification: {problem}")]
-    Selection { problem: String },
-    #[error(
-        "read campaign specification: row {id} of its manifest is of another benchmark, whose \
-         campaigns are specified with `variants` or `suite_file`: remove the row"
-    )]
-    VariantRow { id: RolloutId },
-    #[error("read campaign specification: {0}")]
-    SuiteFile(SuiteFileError),
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
 }
@@ -76,18 +62,6 @@ pub enum SpecError {
 impl From<StopError> for SpecError {
     fn from(error: StopError) -> Self {
         Self::Stop(error)
-    }
-}
-
-impl From<VariantsError> for SpecError {
-    fn from(error: VariantsError) -> Self {
-        Self::Variants(error)
-    }
-}
-
-impl From<SuiteFileError> for SpecError {
-    fn from(error: SuiteFileError) -> Self {
-        Self::SuiteFile(error)
     }
 }
 

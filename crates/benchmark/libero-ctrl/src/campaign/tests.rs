@@ -301,47 +301,34 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
 }
 
 #[test]
-fn a_suite_file_replaces_a_design_and_forbids_replicates() {
-    let file = serde_json::json!({
-        "name": "drawers", "start": "initial-state", "prompt": "name", "seed": 0, "waits": 10,
-        "budget": 300, "trials": 2,
-        "suites": [{"name": "near", "bddl": "*.bddl", "states": "*.npz", "tasks": ["a", "b"]}],
-    });
-    let spec = |changes: &[(&str, serde_json::Value)]| {
-        let mut json = serde_json::json!({
-            "name": "demo",
-            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "suite_file": file,
-        });
-        for (field, value) in changes {
-            json[field] = value.clone();
-        }
-        CampaignSpec::from_json(&json.to_string())
-    };
-    let read = spec(&[]).expect("a specification");
-    let text = serde_json::to_string(&read).expect("JSON");
-    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), read);
-    assert_eq!(read.expand().expect("rows").len(), 4);
-    assert!(read.version().as_str().starts_with("suite-"));
+fn rows_of_a_suite_file_are_those_of_a_campaign_in_the_files_order() {
+    let file = crate::SuiteFile::from_json(
+        r#"{"name": "drawers", "start": "initial-state", "prompt": "name", "seed": 0, "waits": 10,
+            "budget": 300, "trials": 2, "suites": [
+                {"name": "near", "bddl": "*.bddl", "states": "*.npz", "tasks": ["b", "a"]},
+                {"name": "far", "bddl": "*.bddl", "states": "*.npz",
+                 "tasks": [{"name": "c", "noise": 6, "posture": [0, 0, 0, 0, 0, 0, 0]}]}]}"#,
+    );
+    let rows = file.expect("a suite file").rows();
+    let read = imported(&rows, None).expect("a specification");
+    assert_eq!(read.expand(), Ok(rows.clone()));
     let protocol = read.rollouts.protocol().expect("a protocol");
     assert!(protocol.starts_with("drawers@"), "{protocol}");
-    let mut other = file.clone();
-    other["waits"] = 2000.into();
+    let clean = crate::row_of("goal/t0/clean/i06".parse().expect("an id")).expect("a row");
+    let error = imported(&[&rows[..], &[clean]].concat(), None).expect_err("two benchmarks");
+    for part in ["goal/t0/clean/i06: no protocol, but protocol `drawers@", "in line 1: put"] {
+        assert!(error.to_string().contains(part), "{error}");
+    }
+    // A worker runs rows without their suite file, whose checks they pass too.
     for (field, value, expected) in [
-        ("tasks", serde_json::json!(["all"]), "`tasks` and `suite_file` both define the rollouts"),
-        (
-            "replicates",
-            2.into(),
-            "`replicates` beside `suite_file`: its protocol runs each rollout once; write 1",
-        ),
-        ("suite_file", other, "`waits` is 2000: write 0 to 1000"),
+        ("bddl", serde_json::json!("../c.bddl"), "`own.bddl` is `../c.bddl`: write a relative"),
+        ("changes", serde_json::json!({"noise": 51}), "`own.changes.noise` is 51: write 1 to 50"),
     ] {
-        let error = spec(&[(field, value)]).expect_err(field).to_string();
+        let mut row = serde_json::to_value(&rows[4]).expect("JSON");
+        row["own"][field] = value;
+        let error = serde_json::from_value::<ManifestRow>(row).expect_err(expected).to_string();
         assert!(error.contains(expected), "{error}");
     }
-    let rows = read.expand().expect("rows");
-    let error = imported(&rows, None).expect_err("rows of a suite file");
-    assert!(error.to_string().contains("`suite_file`: remove the row"), "{error}");
     let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
     assert!(error.to_string().contains("`worker rollout` with --suite-file"), "{error}");
 }

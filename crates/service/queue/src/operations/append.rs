@@ -4,8 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::mem::discriminant;
 
 use libero_ctrl::manifest::{Difference, diff};
-use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId, Rollouts};
-use libero_family::TaskKey;
+use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId, Rollouts, TaskKey};
 
 use super::campaigns::{Created, check_not_ended};
 use super::context::Context;

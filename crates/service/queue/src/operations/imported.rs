@@ -7,8 +7,7 @@ use std::sync::Arc;
 
 use libero_ctrl::manifest::{Difference, diff};
 use libero_ctrl::seeds::policy_seed;
-use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError};
-use libero_family::TaskKey;
+use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError, TaskKey};
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
@@ -115,7 +114,7 @@ fn expand(spec: &str) -> Result<Expansion, SpecError> {
     if let Rollouts::Explanation(_) | Rollouts::Thresholds(_) = spec.rollouts {
         return Ok(None);
     }
-    let rows = libero_family::expand(&spec)?.into_iter().map(|row| (row.id, row));
+    let rows = spec.expand()?.into_iter().map(|row| (row.id, row));
     Ok(Some((rows.collect(), spec.replicates)))
 }
 
