@@ -33,7 +33,7 @@ use super::{forecast, stopping};
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
 const SPEC_FLAGS: [&str; 24] = [
-    "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
+    "policy", "endpoint", "tasks", "rows", "realisation", "replicates", "record", "assets",
     "renderer", "stop", "stop_seed", "stop_strata", "execution", "suite", "protocol", "variants",
     "suites", "dimensions", "difficulties", "paraphrases", "trials", "runnable", "suite_file",
     "look",
@@ -78,7 +78,7 @@ Examples:
 #[command(after_long_help = EXAMPLES)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").multiple(true)
-    .args(["tasks", "manifest", "suite", "suite_file"]))]
+    .args(["tasks", "rows", "suite", "suite_file"]))]
 #[command(group = ArgGroup::new("of_benchmark").args(["suite", "suite_file"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
@@ -134,12 +134,12 @@ struct SpecFlags {
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
     /// Tasks: `libero_object/0,libero_spatial/0-3`, a suite, or `all`.
-    #[arg(long, value_delimiter = ',', conflicts_with = "manifest")]
+    #[arg(long, value_delimiter = ',', conflicts_with = "rows")]
     tasks: Vec<String>,
-    /// Manifest to run unchanged, instructions included, instead of a design; `-` reads standard
-    /// input.
+    /// Rows to run unchanged, instructions included, instead of a design, as JSON Lines; `-` reads
+    /// standard input.
     #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS, hide_short_help = true)]
-    manifest: Option<PathBuf>,
+    rows: Option<PathBuf>,
     /// Source of the perturbations' random elements: `matched`, the same elements for an axis alone
     /// and in combinations; or `reference`, other elements under each condition, as the released
     /// code draws them.
@@ -167,7 +167,7 @@ struct SpecFlags {
     /// `wait`; `hold:N`, the arm holds still; `overlap:N`, it continues with the previous answer;
     /// `overlap:N,rtc`, the same, and each query carries the actions that are executed meanwhile.
     /// Instead of N, `@FILE` draws from latencies measured by `policy-gateway check --latency`. If
-    /// omitted, the model of the manifest's rows, or else `wait`.
+    /// omitted, the model of the rows of --rows, or else `wait`.
     #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
     execution: Option<String>,
 }
@@ -225,7 +225,7 @@ struct StopFlags {
     stop_strata: Option<Strata>,
 }
 
-/// The flags for a design, which conflict with `--manifest`.
+/// The flags for a design, which conflict with `--rows`.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
@@ -398,9 +398,9 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
 fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking), CommandError> {
     let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
     let (rollouts, left_out) =
-        match (&arguments.flags.manifest, arguments.variants.rows(&chosen_tasks)?) {
-            (Some(path), _) => (Rollouts::Manifest(read_manifest(path)?), Lacking::default()),
-            (None, Some((rows, left_out))) => (Rollouts::Manifest(rows), left_out),
+        match (&arguments.flags.rows, arguments.variants.rows(&chosen_tasks)?) {
+            (Some(path), _) => (Rollouts::Rows(read_manifest(path)?), Lacking::default()),
+            (None, Some((rows, left_out))) => (Rollouts::Rows(rows), left_out),
             (None, None) => {
                 (Rollouts::Design(design_of_flags(arguments).map_err(usage)?), Lacking::default())
             }
@@ -416,6 +416,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking),
             endpoint: arguments.flags.endpoint.clone().unwrap_or_default(),
         },
         rollouts,
+        purpose: None,
         realisation: arguments.flags.realisation,
         replicates: arguments.flags.replicates,
         record: arguments.flags.record,

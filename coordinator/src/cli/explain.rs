@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use adaptive::subsets::{Addition, additions};
 use anyhow::{Context, anyhow};
 use clap::Args;
-use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Record, RolloutId, Rollouts};
+use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Purpose, Record, RolloutId};
 use report::{Findings, Subject};
 use terminal::{number, number_from};
 
@@ -76,7 +76,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         name: &name,
         command: "explain",
         subject: "transition",
-        rollouts: Rollouts::Explanation(explanation.clone()),
+        purpose: Purpose::Explanation(explanation.clone()),
         record: arguments.record,
         has_creation_flags: arguments.has_creation_flags(),
         must_exist: arguments.json,

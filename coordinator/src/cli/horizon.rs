@@ -101,7 +101,7 @@ pub(super) async fn check(
 fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
     let levels: BTreeSet<Level> = match &spec.rollouts {
         Rollouts::Design(design) if design.latency => design.levels.iter().copied().collect(),
-        Rollouts::Manifest(rows) => {
+        Rollouts::Rows(rows) => {
             let ids = rows.iter().map(|row| row.id);
             let latency_ids = ids.filter(|id| id.condition() == Condition::Latency);
             latency_ids.map(|id| id.level()).collect()

@@ -16,7 +16,7 @@ use super::command::{CommandError, usage};
 use super::create::parse_names;
 use super::files::read_suite_file;
 
-/// Flags of a design, which conflict with `--suite`, `--suite-file`, `--manifest` and `--spec`.
+/// Flags of a design, which conflict with `--suite`, `--suite-file`, `--rows` and `--spec`.
 #[rustfmt::skip]
 pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
@@ -27,7 +27,7 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
 /// LIBERO-PRO and LIBERO-Para, and the other sources of rollouts.
 #[rustfmt::skip]
 const VARIANT_FLAGS: [&str; 10] = [
-    "suite", "manifest", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
+    "suite", "rows", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
     "paraphrases", "runnable",
 ];
 
@@ -38,7 +38,7 @@ pub(super) struct VariantFlags {
     /// Variants of a benchmark instead of a design: `libero-plus`, `libero-pro` or `libero-para`,
     /// with the unperturbed rollouts of their tasks.
     #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
-        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "manifest")]
+        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "rows")]
     suite: Option<Benchmark>,
     /// Tasks of a suite file instead of a design: a further benchmark in JSON, as docs/FAMILY.md
     /// describes it. `-` reads standard input.

@@ -204,7 +204,7 @@ async fn an_imported_manifest_is_run_unchanged() {
     let serve = Serve::start(&data);
     let create = |more: &[&str]| {
         let create = ["campaign", "create", "--name", "imported", "--policy", "expert"];
-        let endpoint = ["--endpoint", "http://127.0.0.1:50051", "--manifest", path];
+        let endpoint = ["--endpoint", "http://127.0.0.1:50051", "--rows", path];
         serve.command(&[&create[..], &endpoint, more].concat())
     };
     let refused = create(&["--levels", "L1"]);
@@ -248,7 +248,7 @@ async fn an_imported_manifest_is_run_unchanged() {
 
     let report = serve.command(&["report", "imported", "--full"]);
     let report = text(&report.stdout);
-    assert!(report.contains("design manifest-"), "{report}");
+    assert!(report.contains("design rows-"), "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -264,7 +264,7 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
         let endpoint = ["--endpoint", "http://127.0.0.1:50051"];
         succeed(serve.command(&[&create[..], &endpoint, source].concat()))
     };
-    let manifest = ["--manifest", path.to_str().expect("UTF-8")];
+    let manifest = ["--rows", path.to_str().expect("UTF-8")];
     create("rows", &[&manifest[..], &["--replicates", "2"]].concat());
     create("design", &["--tasks", "libero_goal/7", "--levels", "L1", "--configs", "0"]);
     create("final", &manifest);
@@ -317,7 +317,7 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
         ("rows", altered(6, "init_id", json!(2)), &[], "initial states differ"),
         ("rows", altered(3, "init_id", json!(2)), &[], "has init_id 2, but"),
         ("rows", altered(6, "level", json!("L1")), &[1], "names `replicates`"),
-        ("design", altered(6, "level", json!("L1")), &[], "its specification defines its rows"),
+        ("design", altered(6, "level", json!("L1")), &[], "its rows are those of a design"),
         ("final", altered(6, "level", json!("L1")), &[], "it is cancelled"),
         ("none", altered(6, "level", json!("L1")), &[], "no such campaign"),
     ] {
@@ -390,7 +390,7 @@ async fn a_larger_design_adds_the_rollouts_that_the_campaign_lacks() {
     for (name, flags, words) in [
         ("first", &["--replicates", "1"][..], "lacks some of its rollouts"),
         ("first", &["--configs", "nine"], "read configuration `nine`"),
-        ("first", &["--manifest", "-"], "read manifest: 1 error"),
+        ("first", &["--rows", "-"], "read manifest: 1 error"),
         ("first", &[], "required"),
         ("drawn", &["--replicates", "2"], "`stop`"),
         ("drawn", &["--levels", "L3"], "it may stop early"),

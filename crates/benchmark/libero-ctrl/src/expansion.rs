@@ -20,16 +20,13 @@ use crate::spec_error::SpecError;
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 
 impl CampaignSpec {
-    /// Returns the rows of the campaign's design or manifest under its execution model; no rows for
-    /// other specifications. They are in the order of [`Design::expand`]; those of LIBERO's family
-    /// or of a suite file stay in the order given.
+    /// Returns the campaign's rows under its execution model, in the order of [`Design::expand`];
+    /// those of LIBERO's family or of a suite file stay in the order given.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
         let rows = match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
-            Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
-            // They are planned from outcomes at run time.
-            Rollouts::Explanation(_) | Rollouts::Thresholds(_) => Vec::new(),
+            Rollouts::Rows(rows) => paired_units_first(rows.clone()),
         };
         let rows = rows.into_iter().map(|row| row.under(&self.execution));
         Ok(rows.collect())

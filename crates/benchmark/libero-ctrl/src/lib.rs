@@ -51,7 +51,7 @@ mod wording;
 pub use axis::Axis;
 pub use axis_set::AxisSet;
 pub use benchmark::Benchmark;
-pub use campaign::{CampaignSpec, Explanation, PolicyRoute, Record, Rollouts};
+pub use campaign::{CampaignSpec, Explanation, PolicyRoute, Purpose, Record, Rollouts};
 pub use condition::{Condition, Realisation};
 pub use design::{Design, DesignError, Nominal, PLACEBO_RADII, Placebo, select_tasks};
 pub use design_version::DesignVersion;

@@ -31,16 +31,21 @@ pub enum SpecError {
     )]
     Assets { given: String },
     #[error(
-        "read campaign specification: `{field}` with `realisation` reference, in which each \
+        "read campaign specification: `purpose` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
     )]
-    Unmatched { field: &'static str },
+    Unmatched,
+    #[error(
+        "read campaign specification: `purpose` beside rollouts, which follow from outcomes and are \
+         appended: write `rows` [] and no design"
+    )]
+    Purpose,
     #[error(
         "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
     )]
     Radius { field: &'static str, given: f64, valid: [f64; 2] },
     #[error(
-        "read campaign specification: `execution` is {given}, but the rows of its manifest have \
+        "read campaign specification: `execution` is {given}, but its rows have \
          `{row_model}`: remove `execution` from the specification or from the rows"
     )]
     Execution { given: Execution, row_model: Execution },

@@ -128,7 +128,11 @@ impl NewCampaign {
             realisation: spec.realisation.to_string(),
             execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
-            source: spec.rollouts.source().map(CampaignName::parse).transpose()?,
+            source: spec
+                .purpose
+                .as_ref()
+                .map(|purpose| CampaignName::parse(purpose.source()))
+                .transpose()?,
             stoppable_configurations,
             record: match spec.record {
                 Record::None => "none",

@@ -66,7 +66,7 @@ fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, S
     let mut json = serde_json::json!({
         "name": "imported",
         "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "manifest": rows,
+        "rows": rows,
     });
     if let Some(model) = model {
         json["execution"] = model.into();
@@ -75,22 +75,22 @@ fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, S
 }
 
 #[test]
-fn a_manifest_replaces_a_design() {
+fn rows_replace_a_design() {
     let rows = Design::v0_1().expand().expect("rows");
     let row = &rows[..1];
     let mut json = serde_json::json!({
         "name": "imported",
         "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "manifest": row,
+        "rows": row,
     });
     let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
-    assert_eq!(spec.rollouts, Rollouts::Manifest(row.to_vec()));
+    assert_eq!(spec.rollouts, Rollouts::Rows(row.to_vec()));
     let text = serde_json::to_string(&spec).expect("JSON");
     assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
 
     json["configs"] = serde_json::json!([0]);
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(error.to_string().contains("`configs` and `manifest`"), "{error}");
+    assert!(error.to_string().contains("`configs` and `rows`"), "{error}");
 }
 
 #[test]
@@ -208,52 +208,44 @@ fn delays_of_fractional_steps_or_with_another_execution_model_are_refused() {
 }
 
 #[test]
-fn an_explanation_replaces_a_design_and_starts_without_rows() {
-    let mut json = serde_json::json!({
-        "name": "why",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "explains": {"campaign": "first", "budget": 200},
-    });
-    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
-    assert_eq!(spec.expand(), Ok(Vec::new()));
-    assert!(spec.version().as_str().starts_with("explains-"));
-    let text = serde_json::to_string(&spec).expect("JSON");
-    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
-
-    json["realisation"] = "reference".into();
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("unmatched");
-    assert!(error.to_string().contains("write matched"), "{error}");
-    json["levels"] = serde_json::json!(["L2"]);
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(error.to_string().contains("`levels` and `explains`"), "{error}");
-}
-
-#[test]
-fn thresholds_replace_a_design_and_have_defaults() {
-    let mut json = serde_json::json!({
-        "name": "far",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "thresholds": {"campaign": "first", "conditions": ["camera", "combination"]},
-    });
-    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
-    assert_eq!(spec.expand(), Ok(Vec::new()));
-    assert_eq!(spec.rollouts.source(), Some("first"));
-    assert!(spec.version().as_str().starts_with("thresholds-"));
-    let text = serde_json::to_string(&spec).expect("JSON");
-    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
-    assert!(text.contains(r#""tolerance":0.5,"max_radius":16.0"#), "{text}");
-
-    let check = |field: &str, value: f64, expected: &str| {
-        let mut json = json.clone();
-        json["thresholds"][field] = value.into();
-        let error = CampaignSpec::from_json(&json.to_string()).expect_err(field);
-        assert!(error.to_string().contains(expected), "{error}");
+fn a_purpose_has_defaults_and_starts_without_rows() {
+    let json = |purpose: serde_json::Value| {
+        serde_json::json!({
+            "name": "why",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "rows": [],
+            "purpose": purpose,
+        })
     };
-    check("tolerance", 0.0, "tolerance` is 0, valid are 0.01 to 100");
-    check("max_radius", 101.0, "is 101, valid are 2 to 100");
-    json["explains"] = serde_json::json!({"campaign": "first"});
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(error.to_string().contains("`thresholds` and `explains`"), "{error}");
+    let explanation =
+        json(serde_json::json!({"explanation": {"campaign": "first", "budget": 200}}));
+    let thresholds = json(serde_json::json!({"thresholds": {"campaign": "first"}}));
+    for json in [&explanation, &thresholds] {
+        let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+        assert_eq!(spec.expand(), Ok(Vec::new()));
+        assert_eq!(spec.purpose.as_ref().map(Purpose::source), Some("first"));
+        assert!(spec.version().as_str().starts_with("purpose-"));
+        let text = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+        let is_defaulted = text.contains(r#""tolerance":0.5,"max_radius":16.0"#);
+        assert_eq!(is_defaulted, text.contains("thresholds"), "{text}");
+    }
+    let row = crate::row_of("goal/t0/clean/i06".parse().expect("an id")).expect("a row");
+    for (path, value, expected) in [
+        ("/realisation", "reference".into(), "write matched"),
+        ("/levels", serde_json::json!(["L2"]), "`levels` and `rows`"),
+        ("/rows", serde_json::json!([row]), "write `rows` []"),
+        ("/stop", serde_json::json!({"rule": "I excludes 0"}), "two axes or more"),
+        ("/purpose/thresholds/campaign", "".into(), "`purpose.campaign` is empty"),
+        ("/purpose/thresholds/tolerance", 0.into(), "tolerance` is 0, valid are 0.01 to 100"),
+        ("/purpose/thresholds/max_radius", 101.into(), "is 101, valid are 2 to 100"),
+    ] {
+        let mut json = thresholds.clone();
+        let (parent, field) = path.rsplit_once('/').expect("a path");
+        json.pointer_mut(parent).expect("an object")[field] = value;
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err(path).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 #[test]
@@ -262,7 +254,7 @@ fn imported_rows_are_checked_like_those_of_a_file() {
         let json = serde_json::json!({
             "name": "imported",
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "manifest": rows,
+            "rows": rows,
         });
         let error = CampaignSpec::from_json(&json.to_string()).expect_err(expected);
         assert!(error.to_string().contains(expected), "{error}");

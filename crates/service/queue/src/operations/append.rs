@@ -39,8 +39,7 @@ struct Search {
 }
 
 impl Queue {
-    /// Adds rows to a campaign of a manifest, or to one that explains another or measures its
-    /// thresholds: all rows, or none. Rows that the campaign has are ignored, so that a client may
+    /// Adds rows to a campaign of rows: all of them, or none. Rows that the campaign has are ignored, so that a client may
     /// send the same rows again.
     ///
     /// # Errors
@@ -180,12 +179,11 @@ impl Queue {
     }
 }
 
-/// Returns the specification of a campaign of a manifest with further rows.
+/// Returns the specification of a campaign of rows with further ones.
 fn with_rows(mut spec: CampaignSpec, further: Vec<AppendedRow>) -> Result<CampaignSpec, String> {
-    let Rollouts::Manifest(rows) = &mut spec.rollouts else {
+    let Rollouts::Rows(rows) = &mut spec.rollouts else {
         return Err(
-            "its specification defines its rows; add rows to a campaign of a manifest, or \
-                    extend a design"
+            "its rows are those of a design; extend the design, or add rows to a campaign of rows"
                 .to_owned(),
         );
     };
@@ -194,8 +192,7 @@ fn with_rows(mut spec: CampaignSpec, further: Vec<AppendedRow>) -> Result<Campai
     for AppendedRow { row, replicates } in further {
         if !replicates.is_empty() {
             return Err(format!(
-                "row {} names `replicates`, but a row of a manifest runs in all of them; leave them \
-                 out",
+                "row {} names `replicates`, but it runs in all of the campaign's; leave them out",
                 row.id
             ));
         }

@@ -7,7 +7,7 @@ use std::sync::Arc;
 
 use libero_ctrl::manifest::{Difference, diff};
 use libero_ctrl::seeds::policy_seed;
-use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError, TaskKey};
+use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, SpecError, TaskKey};
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
@@ -111,7 +111,7 @@ pub(super) async fn contradiction(
 
 fn expand(spec: &str) -> Result<Expansion, SpecError> {
     let spec = CampaignSpec::from_json(spec)?;
-    if let Rollouts::Explanation(_) | Rollouts::Thresholds(_) = spec.rollouts {
+    if spec.purpose.is_some() {
         return Ok(None);
     }
     let rows = spec.expand()?.into_iter().map(|row| (row.id, row));

@@ -446,7 +446,7 @@ async fn copy_into(
 fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     let spec = CampaignSpec::from_json(spec).map_err(undecodable);
     let spec = spec.doing("read a campaign's specification")?;
-    let name = spec.rollouts.source().map(CampaignName::parse).transpose();
+    let name = spec.purpose.map(|purpose| CampaignName::parse(purpose.source())).transpose();
     let name = name.map_err(undecodable);
     Ok(name.doing("read the name of the source campaign")?)
 }
