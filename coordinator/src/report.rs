@@ -19,7 +19,7 @@ use crate::reading::ReadError;
 /// campaign's is treated as missing and counted in `left_out`: the modes perturb differently and
 /// must not be pooled. The queue refuses to commit such results.
 pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
-    let spec = view.spec(campaign).await?;
+    let spec = view.current_spec(campaign).await?;
     let spec = CampaignSpec::from_json(&spec)
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     let realisation = campaign.realisation.as_str();

@@ -121,7 +121,7 @@ impl OperatorService for OperatorApi {
         request: Request<GetCampaignRequest>,
     ) -> Answer<GetCampaignResponse> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
-        let spec = view.spec(&campaign).await.map_err(failed)?;
+        let spec = view.current_spec(&campaign).await.map_err(failed)?;
         let status = view.status(campaign).await.map_err(failed)?;
         Ok(Response::new(GetCampaignResponse { spec, status: Some(listing::status(status)) }))
     }

@@ -291,6 +291,8 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
     // A client that was killed sends rows again.
     assert_eq!(append("rows", &all[1..5], &[]).await.expect("added"), (4, 10));
     assert_eq!(append("rows", &all[1..5], &[]).await.expect("ignored"), (0, 10));
+    let again = create("rows", &[&manifest[..], &["--replicates", "2"]].concat());
+    assert!(again.contains("exists already, with this specification"), "{again}");
     let status = text(&serve.command(&["campaign", "status", "rows"]).stdout).to_owned();
     assert!(status.contains("6/10") && !status.contains("finished"), "{status}");
     let version = |name: &str| {
@@ -309,8 +311,10 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
     let altered = |index: usize, field: &str, value: Value| {
         let mut row = all[index].clone();
         row[field] = value;
-        [all[7].clone(), row]
+        vec![all[7].clone(), row]
     };
+    let noise = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
+    let variant = plus_spec(noise)["rows"][1].clone();
     for (campaign, rows, replicates, words) in [
         ("rows", altered(4, "max_steps", json!(7)), &[][..], "has max_steps 7, but 300"),
         ("rows", altered(6, "init_id", json!(50)), &[], "row 2 of the added rows: read row goal"),
@@ -318,6 +322,7 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
         ("rows", altered(3, "init_id", json!(2)), &[], "has init_id 2, but"),
         ("rows", altered(6, "level", json!("L1")), &[1], "names `replicates`"),
         ("design", altered(6, "level", json!("L1")), &[], "its rows are those of a design"),
+        ("rows", vec![variant], &[], "no protocol, but protocol `plus-official` in line 1"),
         ("final", altered(6, "level", json!("L1")), &[], "it is cancelled"),
         ("none", altered(6, "level", json!("L1")), &[], "no such campaign"),
     ] {

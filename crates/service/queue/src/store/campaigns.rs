@@ -198,7 +198,26 @@ pub(crate) async fn set_source(
         .map(drop)
 }
 
-/// Returns a campaign's specification, JSON.
+/// Returns a campaign's specification with the rows that were added since its creation; without
+/// those of a campaign with a purpose.
+pub(crate) async fn current_spec(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+) -> Result<String, StoreError> {
+    sqlx::query_scalar(
+        "SELECT iif(json_type(spec, '$.rows') IS NULL OR json_type(spec, '$.purpose') = 'object',
+             spec, json_set(spec, '$.rows', (SELECT json_group_array(json(manifest_row)) FROM (
+                 SELECT manifest_row FROM job WHERE campaign_id = c.id AND replicate = 0
+                 ORDER BY unit_order))))
+         FROM campaign c WHERE id = ?",
+    )
+    .bind(id)
+    .fetch_one(tx)
+    .await
+    .doing("read a campaign's specification and rows")
+}
+
+/// Returns a campaign's specification, JSON, as it was created.
 pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
     sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
         .bind(id)
