@@ -108,8 +108,9 @@ impl Context<'_> {
             })
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
+        let derived_campaigns = campaigns::derived_from(&mut self.tx, campaign.id).await?;
         campaigns::rename(&mut self.tx, campaign, name).await?;
-        for derived in campaigns::derived_from(&mut self.tx, campaign.id).await? {
+        for derived in derived_campaigns {
             let (spec, digest) = self
                 .altered_spec(&derived, |spec| {
                     if let Some(purpose) = &mut spec.purpose {
