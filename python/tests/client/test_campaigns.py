@@ -139,7 +139,8 @@ def test_the_example_adds_the_rollouts_of_solved_tasks(serve, connect, gateway, 
     path.write_text(client._program.run("manifest", "expand", "--spec", "-", text=text))
     example = Path(__file__).resolve().parents[2] / "examples" / "perturb_solved.py"
     command = (sys.executable, example, path, "expert", f"http://{gateway.address}")
-    environment = {**os.environ, "COORDINATOR_URL": client._connection.access.url}
+    url, packages = client._connection.access.url, os.pathsep.join(filter(None, sys.path))
+    environment = {**os.environ, "COORDINATOR_URL": url, "PYTHONPATH": packages}
     with subprocess.Popen(
         list(map(str, command)), env=environment, stdout=subprocess.PIPE, text=True
     ) as process:
