@@ -72,6 +72,11 @@ CREATE TABLE campaign (
     folder           TEXT    CHECK (folder <> ''),
     spec             TEXT    NOT NULL CHECK (json_valid(spec)),
     spec_digest      TEXT    NOT NULL CHECK (length(spec_digest) = 64),
+    -- Name of the campaign that this one explains or measures, with whose results it is compared. It
+    -- is renamed with that campaign, which cannot be deleted meanwhile.
+    source           TEXT    GENERATED ALWAYS AS
+                     (coalesce(spec ->> '$.purpose.explanation.campaign',
+                         spec ->> '$.purpose.thresholds.campaign')) STORED,
     policy_id        INTEGER NOT NULL REFERENCES policy (id),
     realisation      TEXT    NOT NULL CHECK (realisation IN ('matched', 'reference')),
     -- What the robot does while its policy's answer is under way.
@@ -102,6 +107,7 @@ CREATE TABLE campaign (
 ) STRICT;
 
 CREATE INDEX campaign_by_policy ON campaign (policy_id);
+CREATE INDEX campaign_by_source ON campaign (source) WHERE source IS NOT NULL;
 CREATE UNIQUE INDEX campaign_folder ON campaign (coalesce(folder, name));
 
 CREATE TRIGGER campaign_cancelled_is_final
@@ -125,17 +131,6 @@ CREATE TABLE campaign_task (
     task             TEXT    NOT NULL CHECK (task LIKE '%/%'),
     PRIMARY KEY (campaign_id, task)
 ) STRICT, WITHOUT ROWID;
-
--- A campaign that explains another, its source, or measures its thresholds: it is compared with the
--- source's results.
-CREATE TABLE derivation (
-    campaign_id      INTEGER PRIMARY KEY REFERENCES campaign (id) ON DELETE CASCADE,
-    -- Cannot be deleted while a campaign follows from it.
-    source_id        INTEGER NOT NULL REFERENCES campaign (id),
-    CHECK (campaign_id <> source_id)
-) STRICT;
-
-CREATE INDEX derivation_of ON derivation (source_id);
 
 -- A campaign that may end early, as its specification says: its configurations are in a random
 -- order, drawn at its creation, and leased in that order.

@@ -121,7 +121,7 @@ enum Command {
 enum CampaignCommand {
     /// Create a campaign from a specification, or from flags.
     Create(Box<create::CreateArguments>),
-    /// Add the rollouts that a campaign lacks of a larger design or manifest.
+    /// Add the rollouts that a campaign lacks of a larger design, or further rows.
     Extend(extend::ExtendArguments),
     /// List all campaigns.
     List(status::ListArguments),

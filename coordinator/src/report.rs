@@ -3,13 +3,13 @@
 //! many attempts they took.
 
 use libero_ctrl::{
-    CampaignSpec, Directions, Execution, Level, ManifestRow, RolloutId, Rollouts, UnknownName,
+    CampaignSpec, Directions, Execution, Level, ManifestRow, Purpose, RolloutId, Rollouts,
+    UnknownName,
 };
 use paired::{Outcome, Progress, Record};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
-    BeyondRange, Derived, EarlyStop, Origin, Purpose, Quarantined, Setups, Subject, counted,
-    rollout_name,
+    BeyondRange, Derived, EarlyStop, Origin, Quarantined, Setups, Subject, counted, rollout_name,
 };
 use sha2::{Digest, Sha256};
 
@@ -19,7 +19,7 @@ use crate::reading::ReadError;
 /// campaign's is treated as missing and counted in `left_out`: the modes perturb differently and
 /// must not be pooled. The queue refuses to commit such results.
 pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
-    let spec = view.spec(campaign).await?;
+    let spec = view.current_spec(campaign).await?;
     let spec = CampaignSpec::from_json(&spec)
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     let realisation = campaign.realisation.as_str();
@@ -74,8 +74,8 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_by_suite: Vec::new(),
         reported_nominal: None,
         setups: Setups::default(),
-        protocol: spec.rollouts.protocol(),
-        derived: derived(view, campaign, spec.rollouts).await?,
+        protocol: spec.rollouts.protocol().map(str::to_owned),
+        derived: derived(view, campaign, spec.purpose).await?,
         early_stop: early_stop(view, campaign).await?,
     })
 }
@@ -85,16 +85,9 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
 async fn derived(
     view: &mut View,
     campaign: &Campaign,
-    rollouts: Rollouts,
+    purpose: Option<Purpose>,
 ) -> Result<Option<Derived>, ReadError> {
-    let purpose = match rollouts {
-        Rollouts::Explanation(explanation) => Purpose::Explanation(explanation),
-        Rollouts::Thresholds(thresholds) => Purpose::Thresholds(thresholds),
-        Rollouts::Design(_)
-        | Rollouts::Manifest(_)
-        | Rollouts::Variants(_)
-        | Rollouts::SuiteFile(_) => return Ok(None),
-    };
+    let Some(purpose) = purpose else { return Ok(None) };
     let Some(source) = view.source(campaign.id).await? else {
         return Ok(None);
     };

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,9 @@ from .status import CAMPAIGNS, Forecast, Status
 
 #: A specification (docs/PROTOCOL.md): its fields, or the path of a JSON file.
 Spec = Mapping[str, Any] | str | os.PathLike[str]
+
+#: A row of a manifest (docs/PROTOCOL.md).
+Row = Mapping[str, Any]
 
 
 class Client:
@@ -75,15 +78,28 @@ class Client:
         campaign.status()
         return campaign
 
-    def create(self, spec: Spec, *, priority: int = 0) -> Campaign:
+    def create(
+        self, spec: Spec, *, rows: Iterable[Row] | None = None, priority: int = 0
+    ) -> Campaign:
         """Creates a campaign. Creating it again with the same specification returns the same
         campaign; another specification under its name is refused.
 
-        priority: from -100 to 100; rollouts of higher priority are leased earlier."""
+        rows: rows to run unchanged, in place of a design in `spec`. priority: from -100 to 100;
+        rollouts of higher priority are leased earlier."""
         text = _text(spec)
+        if rows is not None:
+            text = json.dumps({**json.loads(text), "rows": list(rows)})
         request = wire.CreateCampaignRequest(spec=text, priority=priority)
         self._connection.call("CreateCampaign", request)
         return Campaign(json.loads(text)["name"], self._connection, self._program)
+
+    def append(self, campaign: str, rows: Iterable[Row]) -> int:
+        """Adds rows to a campaign of rows, all or none; rows that it has are ignored. A finished
+        campaign runs again. Returns the number of new rollouts."""
+        appended = [wire.AppendedRow(manifest_row=json.dumps(row)) for row in rows]
+        request = wire.AppendRowsRequest(campaign=campaign, rows=appended)
+        added: int = self._connection.call("AppendRows", request)["jobs_added"]
+        return added
 
     def forecast(self, spec: Spec) -> Forecast:
         """Returns the number of rollouts that `create` would create, and the time that the

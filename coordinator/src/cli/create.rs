@@ -16,6 +16,7 @@ use libero_ctrl::{
     PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef,
     UnknownName, Wanted, select_tasks,
 };
+use libero_family::Lacking;
 use proto::coordinator::CreateCampaignRequest;
 use queue::Created;
 use queue::expand::NewCampaign;
@@ -33,7 +34,7 @@ use super::{forecast, stopping};
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
 const SPEC_FLAGS: [&str; 24] = [
-    "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
+    "policy", "endpoint", "tasks", "rows", "realisation", "replicates", "record", "assets",
     "renderer", "stop", "stop_seed", "stop_strata", "execution", "suite", "protocol", "variants",
     "suites", "dimensions", "difficulties", "paraphrases", "trials", "runnable", "suite_file",
     "look",
@@ -78,7 +79,7 @@ Examples:
 #[command(after_long_help = EXAMPLES)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").multiple(true)
-    .args(["tasks", "manifest", "suite", "suite_file"]))]
+    .args(["tasks", "rows", "suite", "suite_file"]))]
 #[command(group = ArgGroup::new("of_benchmark").args(["suite", "suite_file"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
@@ -129,12 +130,12 @@ struct SpecFlags {
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
     /// Tasks: `libero_object/0,libero_spatial/0-3`, a suite, or `all`.
-    #[arg(long, value_delimiter = ',', conflicts_with = "manifest")]
+    #[arg(long, value_delimiter = ',', conflicts_with = "rows")]
     tasks: Vec<String>,
-    /// Manifest to run unchanged, instructions included, instead of a design; `-` reads standard
-    /// input.
+    /// Rows to run unchanged, instructions included, instead of a design, as JSON Lines; `-` reads
+    /// standard input.
     #[arg(long, value_name = "FILE", conflicts_with_all = DESIGN_FLAGS, hide_short_help = true)]
-    manifest: Option<PathBuf>,
+    rows: Option<PathBuf>,
     /// Source of the perturbations' random elements: `matched`, the same elements for an axis alone
     /// and in combinations; or `reference`, other elements under each condition, as the released
     /// code draws them.
@@ -162,7 +163,7 @@ struct SpecFlags {
     /// `wait`; `hold:N`, the arm holds still; `overlap:N`, it continues with the previous answer;
     /// `overlap:N,rtc`, the same, and each query carries the actions that are executed meanwhile.
     /// Instead of N, `@FILE` draws from latencies measured by `policy-gateway check --latency`. If
-    /// omitted, the model of the manifest's rows, or else `wait`.
+    /// omitted, the model of the rows of --rows, or else `wait`.
     #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
     execution: Option<String>,
 }
@@ -220,7 +221,7 @@ struct StopFlags {
     stop_strata: Option<Strata>,
 }
 
-/// The flags for a design, which conflict with `--manifest`.
+/// The flags for a design, which conflict with `--rows`.
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
@@ -260,8 +261,8 @@ struct DesignFlags {
 }
 
 pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandError> {
-    let spec = match &arguments.spec {
-        Some(path) => read_spec(path)?,
+    let (spec, left_out) = match &arguments.spec {
+        Some(path) => (read_spec(path)?, Lacking::default()),
         None => spec_of_flags(&arguments)?,
     };
     // Expanding the specification here reports its errors before the coordinator is contacted.
@@ -288,7 +289,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
-        print_left_out(&spec)?;
+        print_left_out(&left_out)?;
         print_placebo(&campaign)?;
         print_stop(&spec, &campaign)?;
         print_execution(&spec, unknown.as_deref())?;
@@ -309,7 +310,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {verb}: {total}"))?;
-    print_left_out(&spec)?;
+    print_left_out(&left_out)?;
     print_stop(&spec, &campaign)?;
     print_execution(&spec, unknown.as_deref())?;
     if created.priority != arguments.priority {
@@ -342,11 +343,7 @@ fn print_execution(spec: &CampaignSpec, unknown: Option<&str>) -> Result<(), Com
 }
 
 /// Prints the variants that the campaign leaves out.
-fn print_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
-    let Rollouts::Variants(variants) = &spec.rollouts else {
-        return Ok(());
-    };
-    let left_out = libero_family::left_out(variants).map_err(usage)?;
+fn print_left_out(left_out: &Lacking) -> Result<(), CommandError> {
     if left_out.count() > 0 {
         let count = counted(left_out.count() as u64, "variant");
         print_line(&format!(
@@ -389,14 +386,17 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
+/// Returns the specification, and the variants that it leaves out.
+fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking), CommandError> {
     let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
-    let selection = arguments.variants.rollouts(&chosen_tasks)?;
-    let rollouts = match (&arguments.flags.manifest, selection) {
-        (Some(path), _) => Rollouts::Manifest(read_manifest(path)?),
-        (None, Some(rollouts)) => rollouts,
-        (None, None) => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
-    };
+    let (rollouts, left_out) =
+        match (&arguments.flags.rows, arguments.variants.rows(&chosen_tasks)?) {
+            (Some(path), _) => (Rollouts::Rows(read_manifest(path)?), Lacking::default()),
+            (None, Some((rows, left_out))) => (Rollouts::Rows(rows), left_out),
+            (None, None) => {
+                (Rollouts::Design(design_of_flags(arguments).map_err(usage)?), Lacking::default())
+            }
+        };
     let execution = match &arguments.flags.execution {
         Some(text) => execution(text).map_err(usage)?,
         None => rollouts.execution(),
@@ -408,6 +408,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             endpoint: arguments.flags.endpoint.clone().unwrap_or_default(),
         },
         rollouts,
+        purpose: None,
         realisation: arguments.flags.realisation,
         replicates: arguments.flags.replicates,
         record: arguments.flags.record,
@@ -424,7 +425,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
         execution,
     };
     spec.check().map_err(usage)?;
-    Ok(spec)
+    Ok((spec, left_out))
 }
 
 fn axes_help() -> String {

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use adaptive::subsets::{Addition, additions};
 use anyhow::{Context, anyhow};
 use clap::Args;
-use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Record, RolloutId, Rollouts};
+use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Purpose, Record, RolloutId};
 use report::{Findings, Subject};
 use terminal::{number, number_from};
 
@@ -77,7 +77,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         name: &name,
         command: "explain",
         subject: "transition",
-        rollouts: Rollouts::Explanation(explanation.clone()),
+        purpose: Purpose::Explanation(explanation.clone()),
         record: arguments.record,
         has_creation_flags: arguments.has_creation_flags(),
         must_exist: arguments.json,
@@ -104,7 +104,7 @@ fn next(
     explanation: &Explanation,
 ) -> anyhow::Result<Vec<NextRow>> {
     let records = explaining.derived.as_ref().map_or(&[][..], |derived| &derived.records);
-    let rows = libero_family::expand(source)?.into_iter().map(|row| (row.id, row));
+    let rows = source.expand()?.into_iter().map(|row| (row.id, row));
     let rows: BTreeMap<RolloutId, ManifestRow> = rows.collect();
     let additions = additions(records, &explaining.records, explanation).into_iter();
     let row = |Addition { simultaneous, axes, replicates }| {

@@ -1,5 +1,5 @@
-//! `coordinator campaign extend`: a campaign gets the rollouts that it lacks of a larger design or
-//! manifest; what it has measured is not run again.
+//! `coordinator campaign extend`: a campaign gets the rollouts that it lacks of a larger design, or
+//! further rows; what it has measured is not run again.
 
 use std::path::PathBuf;
 
@@ -20,7 +20,7 @@ use super::search::spec;
 const EXAMPLES: &str = "\
 Examples:
   coordinator campaign extend first --configs 4-9
-  coordinator campaign extend imported --manifest further.jsonl";
+  coordinator campaign extend imported --rows further.jsonl";
 
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
@@ -40,9 +40,9 @@ pub(super) struct ExtendArguments {
     /// Number of runs of every rollout, those of the campaign included.
     #[arg(long, group = "more", value_parser = number(1..=MAX_REPLICATES, "times"))]
     replicates: Option<u32>,
-    /// Further rows for a campaign of a manifest; `-` reads standard input.
+    /// Further rows for a campaign of rows; `-` reads standard input.
     #[arg(long, group = "more", value_name = "FILE", conflicts_with_all = ["tasks", "levels", "configs", "replicates"])]
-    manifest: Option<PathBuf>,
+    rows: Option<PathBuf>,
     #[command(flatten)]
     connection: Connection,
 }
@@ -51,7 +51,7 @@ pub(super) async fn extend(arguments: ExtendArguments) -> Result<(), CommandErro
     let client = arguments.connection.client()?;
     let name = &arguments.campaign;
     let mut request = AppendRowsRequest { campaign: name.clone(), ..AppendRowsRequest::default() };
-    if let Some(path) = &arguments.manifest {
+    if let Some(path) = &arguments.rows {
         for row in read_manifest(path)? {
             let manifest_row = serde_json::to_string(&row).map_err(anyhow::Error::from)?;
             request.rows.push(AppendedRow { manifest_row, replicates: Vec::new() });
@@ -60,8 +60,8 @@ pub(super) async fn extend(arguments: ExtendArguments) -> Result<(), CommandErro
         let mut larger = spec(&client, name).await?;
         let Rollouts::Design(mut design) = larger.rollouts else {
             return Err(usage(anyhow!(
-                "extend campaign `{name}`: it has no design; add rows to a campaign of a manifest \
-                 with --manifest"
+                "extend campaign `{name}`: it has no design; add rows to a campaign of rows \
+                 with --rows"
             )));
         };
         design.tasks.extend(tasks(&arguments.tasks).map_err(usage)?);

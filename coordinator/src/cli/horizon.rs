@@ -105,7 +105,7 @@ fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
         {
             design.levels.iter().copied().collect()
         }
-        Rollouts::Manifest(rows) => {
+        Rollouts::Rows(rows) => {
             let ids = rows.iter().map(|row| row.id);
             let latency_ids = ids.filter(|id| id.condition().sets_execution());
             latency_ids.map(|id| id.level()).collect()

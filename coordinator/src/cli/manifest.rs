@@ -66,7 +66,7 @@ pub(super) fn manifest(command: ManifestCommand) -> Result<(), CommandError> {
 
 fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     let rows = match &arguments.spec {
-        Some(path) => libero_family::expand(&read_spec(path)?).map_err(usage)?,
+        Some(path) => read_spec(path)?.expand().map_err(usage)?,
         None => Design::v0_1().expand().context("expand v0.1")?,
     };
     let is_wanted = |row: &&ManifestRow| match arguments.split {

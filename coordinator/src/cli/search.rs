@@ -9,8 +9,7 @@ use anyhow::anyhow;
 use clap::Args;
 use coordinator::client::{Client, Service};
 use libero_ctrl::{
-    CampaignSpec, Explanation, ManifestRow, PolicyRoute, Realisation, Record, Rollouts, Thresholds,
-    Wanted,
+    CampaignSpec, ManifestRow, PolicyRoute, Purpose, Realisation, Record, Rollouts, Wanted,
 };
 use paired::Outcome;
 use proto::coordinator::{AppendRowsRequest, AppendedRow, CreateCampaignRequest};
@@ -44,7 +43,7 @@ pub(super) struct Search<'a> {
     /// Singular noun for the items that the campaign explains or measures: `transition` or
     /// `threshold`.
     pub(super) subject: &'a str,
-    pub(super) rollouts: Rollouts,
+    pub(super) purpose: Purpose,
     /// Rollouts to film; `None` stands for the setting of the source campaign.
     pub(super) record: Option<Record>,
     /// True if flags were given that apply only to a campaign to be created.
@@ -97,7 +96,7 @@ impl Search<'_> {
             }
         }
         if !exists {
-            let problem = self.problem(&spec(client, self.source).await?.rollouts);
+            let problem = self.problem(&spec(client, self.source).await?);
             if let Some(problem) = problem {
                 return Err(usage(anyhow!("search campaign `{}`: {problem}", self.source)));
             }
@@ -117,25 +116,20 @@ impl Search<'_> {
         Ok(Some(self.run(client, next).await?))
     }
 
-    /// Returns the reason why the source's rollouts allow no such search, and the remedy.
-    fn problem(&self, source: &Rollouts) -> Option<String> {
-        let benchmark = match source {
-            Rollouts::Variants(variants) => variants.benchmark.name(),
-            Rollouts::SuiteFile(file) => &file.name,
-            // Its outcomes are not final, since it may get further rollouts.
-            Rollouts::Explanation(Explanation { campaign, .. })
-            | Rollouts::Thresholds(Thresholds { campaign, .. }) => {
-                return Some(format!("it is itself derived from `{campaign}`; name `{campaign}`"));
-            }
-            Rollouts::Design(_) | Rollouts::Manifest(_) => {
-                let Rollouts::Thresholds(thresholds) = &self.rollouts else { return None };
-                return thresholds.check_measurable(source).err().map(|error| error.to_string());
-            }
-        };
-        Some(format!(
-            "it is of {benchmark}, which has no axes to explain and no thresholds; name a campaign \
-             of LIBERO-CTRL"
-        ))
+    /// Returns the reason why the source allows no such search, and the remedy.
+    fn problem(&self, source: &CampaignSpec) -> Option<String> {
+        if let Some(protocol) = source.rollouts.protocol() {
+            return Some(format!(
+                "its rows are of protocol {protocol}, which has no axes to explain and no \
+                 thresholds; name a campaign of LIBERO-CTRL"
+            ));
+        }
+        // Its outcomes are not final, since it may get further rollouts.
+        if let Some(campaign) = source.purpose.as_ref().map(Purpose::source) {
+            return Some(format!("it is itself derived from `{campaign}`; name `{campaign}`"));
+        }
+        let Purpose::Thresholds(thresholds) = &self.purpose else { return None };
+        thresholds.check_measurable(&source.rollouts).err().map(|error| error.to_string())
     }
 
     /// Waits until every rollout of the source that will ever have an outcome has one: only then
@@ -240,9 +234,10 @@ impl Search<'_> {
         if !campaigns.iter().any(|status| status.name == self.name) {
             return Ok(false);
         }
-        let rollouts = spec(client, self.name).await?.rollouts;
-        let is_same_kind = discriminant(&rollouts) == discriminant(&self.rollouts);
-        Ok(is_same_kind && rollouts.source() == Some(self.source))
+        let purpose = spec(client, self.name).await?.purpose;
+        Ok(purpose.is_some_and(|purpose| {
+            discriminant(&purpose) == discriminant(&self.purpose) && purpose.source() == self.source
+        }))
     }
 
     /// Creates the campaign, unless it exists with the same specification.
@@ -251,7 +246,8 @@ impl Search<'_> {
         let spec = CampaignSpec {
             name: self.name.to_owned(),
             policy: PolicyRoute { name: source.policy.clone(), endpoint: source.endpoint.clone() },
-            rollouts: self.rollouts.clone(),
+            rollouts: Rollouts::Rows(Vec::new()),
+            purpose: Some(self.purpose.clone()),
             realisation: Realisation::Matched,
             replicates: 1,
             record: self.record.unwrap_or(record),

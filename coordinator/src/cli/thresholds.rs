@@ -6,7 +6,7 @@ use adaptive::radii::{Measurement, Ray};
 use anyhow::anyhow;
 use clap::Args;
 use libero_ctrl::{
-    CampaignSpec, Condition, Level, MAX_RADII, Record, Rollouts, TOLERANCES, Thresholds,
+    CampaignSpec, Condition, Level, MAX_RADII, Purpose, Record, Rollouts, TOLERANCES, Thresholds,
 };
 use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
@@ -70,7 +70,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         name: &name,
         command: "thresholds",
         subject: "threshold",
-        rollouts: Rollouts::Thresholds(thresholds.clone()),
+        purpose: Purpose::Thresholds(thresholds.clone()),
         record: Some(Record::None),
         has_creation_flags: arguments.has_creation_flags(),
         must_exist: arguments.json || arguments.figures.is_some(),

@@ -2,16 +2,21 @@
 
 use std::path::PathBuf;
 
+use anyhow::ensure;
 use clap::Args;
-use libero_ctrl::{Benchmark, Rollouts, TaskRef, Variants};
-use libero_family::pro::STATES;
+use libero_ctrl::{Benchmark, ManifestRow, TaskRef};
+use libero_family::para::TypeName;
+use libero_family::plus::{Dimension, Variant};
+use libero_family::pro::{ProSuite, STATES};
 use libero_family::protocol::Protocol;
+use libero_family::{Lacking, ParaFilters, PlusFilters, ProFilters, Selection};
 use terminal::number;
 
-use super::command::CommandError;
+use super::command::{CommandError, usage};
+use super::create::parse_names;
 use super::files::read_suite_file;
 
-/// Flags of a design, which conflict with `--suite`, `--suite-file`, `--manifest` and `--spec`.
+/// Flags of a design, which conflict with `--suite`, `--suite-file`, `--rows` and `--spec`.
 #[rustfmt::skip]
 pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
@@ -22,7 +27,7 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
 /// LIBERO-PRO and LIBERO-Para, and the other sources of rollouts.
 #[rustfmt::skip]
 const VARIANT_FLAGS: [&str; 10] = [
-    "suite", "manifest", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
+    "suite", "rows", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
     "paraphrases", "runnable",
 ];
 
@@ -33,7 +38,7 @@ pub(super) struct VariantFlags {
     /// Variants of a benchmark instead of a design: `libero-plus`, `libero-pro` or `libero-para`,
     /// with the unperturbed rollouts of their tasks.
     #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
-        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "manifest")]
+        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "rows")]
     suite: Option<Benchmark>,
     /// Tasks of a suite file instead of a design: a further benchmark in JSON, as docs/FAMILY.md
     /// describes it. `-` reads standard input.
@@ -52,7 +57,7 @@ pub(super) struct VariantFlags {
         requires = "suite",
         hide_short_help = true
     )]
-    variants: Vec<String>,
+    variants: Vec<Variant>,
     /// Variants of these suites: `libero_goal` of LIBERO-Plus, `libero_goal_swap` of LIBERO-PRO.
     #[arg(
         long,
@@ -71,7 +76,7 @@ pub(super) struct VariantFlags {
         requires = "suite",
         hide_short_help = true
     )]
-    dimensions: Vec<String>,
+    dimensions: Vec<Dimension>,
     /// Variants of LIBERO-Plus of these difficulties: 1 to 5, or 0 for variants without a
     /// difficulty.
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
@@ -87,7 +92,7 @@ pub(super) struct VariantFlags {
         requires = "suite",
         hide_short_help = true
     )]
-    paraphrases: Vec<String>,
+    paraphrases: Vec<TypeName>,
     /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50 for LIBERO-PRO, or the
     /// number in the suite file.
     #[arg(long, value_name = "N", requires = "of_benchmark", hide_short_help = true,
@@ -99,31 +104,61 @@ pub(super) struct VariantFlags {
 }
 
 impl VariantFlags {
-    /// Returns the selected rollouts; `None` if no benchmark and no suite file is named. `tasks` are
-    /// those of `--tasks`.
-    pub(super) fn rollouts(&self, tasks: &[TaskRef]) -> Result<Option<Rollouts>, CommandError> {
-        let Some(path) = &self.suite_file else {
-            return Ok(self.selection(tasks).map(Rollouts::Variants));
+    /// Returns the rows of the selected rollouts, and the variants that are left out; `None` if no
+    /// benchmark and no suite file is named. `tasks` are those of `--tasks`.
+    pub(super) fn rows(
+        &self,
+        tasks: &[TaskRef],
+    ) -> Result<Option<(Vec<ManifestRow>, Lacking)>, CommandError> {
+        if let Some(path) = &self.suite_file {
+            let mut file = read_suite_file(path)?;
+            file.trials = self.trials.unwrap_or(file.trials);
+            return Ok(Some((file.rows(), Lacking::default())));
+        }
+        let Some(benchmark) = self.suite else { return Ok(None) };
+        self.check_filters(benchmark, !tasks.is_empty()).map_err(usage)?;
+        let selection = match benchmark {
+            Benchmark::Plus => Selection::Plus(PlusFilters {
+                variants: self.variants.clone(),
+                suites: parse_names(&self.suites).map_err(usage)?,
+                dimensions: self.dimensions.clone(),
+                difficulties: self.difficulties.clone(),
+            }),
+            Benchmark::Pro => Selection::Pro(ProFilters {
+                suites: match self.suites.is_empty() {
+                    true => ProSuite::all().collect(),
+                    false => parse_names(&self.suites).map_err(usage)?,
+                },
+                trials: self.trials.unwrap_or(STATES),
+            }),
+            Benchmark::Para => Selection::Para(ParaFilters {
+                types: self.paraphrases.clone(),
+                tasks: tasks.to_vec(),
+            }),
         };
-        let mut file = read_suite_file(path)?;
-        file.trials = self.trials.unwrap_or(file.trials);
-        Ok(Some(Rollouts::SuiteFile(Box::new(file))))
+        let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
+        selection.rows(&protocol, self.runnable).map(Some).map_err(usage)
     }
 
-    fn selection(&self, tasks: &[TaskRef]) -> Option<Variants> {
-        let benchmark = self.suite?;
-        let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
-        Some(Variants {
-            benchmark,
-            protocol: protocol.name.to_owned(),
-            variants: self.variants.clone(),
-            suites: self.suites.clone(),
-            dimensions: self.dimensions.clone(),
-            difficulties: self.difficulties.clone(),
-            paraphrases: self.paraphrases.clone(),
-            tasks: tasks.iter().map(TaskRef::to_string).collect(),
-            trials: self.trials,
-            runnable: self.runnable,
-        })
+    /// Refuses filters that only another benchmark has.
+    fn check_filters(&self, benchmark: Benchmark, has_tasks: bool) -> anyhow::Result<()> {
+        use Benchmark::{Para, Plus, Pro};
+        let filters = [
+            ("--variant", !self.variants.is_empty(), &[Plus][..]),
+            ("--suites", !self.suites.is_empty(), &[Plus, Pro]),
+            ("--dimension", !self.dimensions.is_empty(), &[Plus]),
+            ("--difficulty", !self.difficulties.is_empty(), &[Plus]),
+            ("--trials", self.trials.is_some(), &[Pro]),
+            ("--paraphrase", !self.paraphrases.is_empty(), &[Para]),
+            ("--tasks", has_tasks, &[Para]),
+        ];
+        for (flag, is_given, benchmarks) in filters {
+            ensure!(
+                !is_given || benchmarks.contains(&benchmark),
+                "choose variants of {benchmark} by {flag}: only another benchmark has this filter; \
+                 leave it out"
+            );
+        }
+        Ok(())
     }
 }

@@ -103,7 +103,7 @@ impl OperatorService for OperatorApi {
 
     async fn get_campaign(&self, request: Request<GetCampaignRequest>) -> Answer<wire::Answer> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
-        let spec = view.spec(&campaign).await.map_err(failed)?;
+        let spec = view.current_spec(&campaign).await.map_err(failed)?;
         let status = view.status(campaign).await.map_err(failed)?;
         answer(view.now, &(status, spec))
     }

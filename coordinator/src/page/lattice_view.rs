@@ -2,7 +2,7 @@
 //! the campaign that explains it.
 
 use adaptive::subsets::{Lattice, configurations, own_configurations};
-use libero_ctrl::{AxisSet, CampaignSpec, Condition, Explanation, RolloutId, Rollouts};
+use libero_ctrl::{AxisSet, CampaignSpec, Condition, Explanation, Purpose, RolloutId};
 use paired::Record;
 use queue::read::{Campaign, SubsetRow, View};
 
@@ -98,13 +98,9 @@ async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Expl
     let spec = view.spec(campaign).await?;
     let spec = CampaignSpec::from_json(&spec)
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
-    Ok(match spec.rollouts {
-        Rollouts::Explanation(explanation) => Some(explanation),
-        Rollouts::Design(_)
-        | Rollouts::Manifest(_)
-        | Rollouts::Thresholds(_)
-        | Rollouts::Variants(_)
-        | Rollouts::SuiteFile(_) => None,
+    Ok(match spec.purpose {
+        Some(Purpose::Explanation(explanation)) => Some(explanation),
+        _ => None,
     })
 }
 

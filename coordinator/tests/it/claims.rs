@@ -13,6 +13,7 @@ use tonic::Code;
 
 use crate::assertions::{assert_contains, assert_refused};
 use crate::harness::{Bench, registration, rollout_id, small_spec, value, with};
+use crate::process::plus_spec;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn claim_is_exclusive_under_concurrency() {
@@ -146,14 +147,7 @@ async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
         "put_the_bowl_on_the_plate_language_1_view_0_0_100_0_0_initstate_0",
         "put_the_bowl_on_the_plate_moved_level1_sample1",
     ];
-    let spec = json!({
-        "name": "plus",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "variants": {
-            "benchmark": "libero-plus", "protocol": "plus-official", "variants": variants,
-        },
-    });
-    bench.create(&spec).await.expect("created");
+    bench.create(&plus_spec(&variants.join(","))).await.expect("created");
     let mut partial = bench.worker("a").await;
     let mut claimed = Vec::new();
     let idle_reason = loop {

@@ -83,7 +83,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
 
     // A campaign of the manifest runs under the manifest's execution model; any other is refused.
     let imported = |more: &[&str]| {
-        let flags = [&CREATE[..8], &["--manifest", &rows, "--print-spec"], more];
+        let flags = [&CREATE[..8], &["--rows", &rows, "--print-spec"], more];
         coordinator(&flags.concat())
     };
     let imported_spec = imported(&[]);

@@ -187,7 +187,7 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     refused(&["campaign", "status", "alone-explained"], "no such campaign");
     let mut worker = serve.worker("w").await;
     searched(&serve, &mut worker, &["explain", "first"], outcome).await;
-    refused(&["explain", "first", "--create", "--budget", "20"], "they differ in `explains`");
+    refused(&["explain", "first", "--create", "--budget", "20"], "they differ in `purpose`");
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     refused(&delete, "campaign `first-explained` is derived from it");
 
@@ -195,7 +195,7 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     succeed(serve.command(&["explain", "final", "--name", "first-explained"]));
 
     let spec = json!({
-        "name": "other", "explains": {"campaign": "final"},
+        "name": "other", "rows": [], "purpose": {"explanation": {"campaign": "final"}},
         "policy": {"name": "q", "endpoint": "http://127.0.0.1:50051"},
     });
     let file = folder.path().join("spec.json");

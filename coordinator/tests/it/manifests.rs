@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use tonic::Status;
 
 use crate::harness::{small_spec, value};
-use crate::process::{Serve, coordinator, fail, succeed, text};
+use crate::process::{Serve, coordinator, fail, plus_spec, succeed, text};
 
 fn expand(folder: &Path, name: &str, more: &[&str]) -> PathBuf {
     let path = folder.join(name);
@@ -73,16 +73,9 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
 #[test]
 fn the_nominal_rows_of_liberos_family_are_those_of_unperturbed_tasks() {
     let folder = tempfile::tempdir().expect("a temporary folder");
-    let spec = json!({
-        "name": "plus",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "variants": {
-            "benchmark": "libero-plus", "protocol": "plus-official",
-            "variants": ["put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30"],
-        },
-    });
     let path = folder.path().join("spec.json");
-    std::fs::write(&path, spec.to_string()).expect("written");
+    let noise = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
+    std::fs::write(&path, plus_spec(noise).to_string()).expect("written");
     let spec = ["--spec", path.to_str().expect("UTF-8"), "--split"];
     for (split, expected) in
         [("nominal", "goal/t8/plus:unperturbed/i00"), ("eval", "goal/t8/plus:noise_30/i00")]
@@ -212,7 +205,7 @@ async fn an_imported_manifest_is_run_unchanged() {
     let serve = Serve::start(&data);
     let create = |more: &[&str]| {
         let create = ["campaign", "create", "--name", "imported", "--policy", "expert"];
-        let endpoint = ["--endpoint", "http://127.0.0.1:50051", "--manifest", path];
+        let endpoint = ["--endpoint", "http://127.0.0.1:50051", "--rows", path];
         serve.command(&[&create[..], &endpoint, more].concat())
     };
     let refused = create(&["--levels", "L1"]);
@@ -256,7 +249,7 @@ async fn an_imported_manifest_is_run_unchanged() {
 
     let report = serve.command(&["report", "imported", "--full"]);
     let report = text(&report.stdout);
-    assert!(report.contains("design manifest-"), "{report}");
+    assert!(report.contains("design rows-"), "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -272,7 +265,7 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
         let endpoint = ["--endpoint", "http://127.0.0.1:50051"];
         succeed(serve.command(&[&create[..], &endpoint, source].concat()))
     };
-    let manifest = ["--manifest", path.to_str().expect("UTF-8")];
+    let manifest = ["--rows", path.to_str().expect("UTF-8")];
     create("rows", &[&manifest[..], &["--replicates", "2"]].concat());
     create("design", &["--tasks", "libero_goal/7", "--levels", "L1", "--configs", "0"]);
     create("final", &manifest);
@@ -296,6 +289,8 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
     // A client that was killed sends rows again.
     assert_eq!(append("rows", &all[1..5], &[]).await.expect("added"), (4, 10));
     assert_eq!(append("rows", &all[1..5], &[]).await.expect("ignored"), (0, 10));
+    let again = create("rows", &[&manifest[..], &["--replicates", "2"]].concat());
+    assert!(again.contains("exists already, with this specification"), "{again}");
     let status = text(&serve.command(&["campaign", "status", "rows"]).stdout).to_owned();
     assert!(status.contains("6/10") && !status.contains("finished"), "{status}");
     let version = |name: &str| {
@@ -314,15 +309,18 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
     let altered = |index: usize, field: &str, value: Value| {
         let mut row = all[index].clone();
         row[field] = value;
-        [all[7].clone(), row]
+        vec![all[7].clone(), row]
     };
+    let noise = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
+    let variant = plus_spec(noise)["rows"][1].clone();
     for (campaign, rows, replicates, words) in [
         ("rows", altered(4, "max_steps", json!(7)), &[][..], "has max_steps 7, but 300"),
         ("rows", altered(6, "init_id", json!(50)), &[], "row 2 of the added rows: read row goal"),
         ("rows", altered(6, "init_id", json!(2)), &[], "initial states differ"),
         ("rows", altered(3, "init_id", json!(2)), &[], "has init_id 2, but"),
         ("rows", altered(6, "level", json!("L1")), &[1], "names `replicates`"),
-        ("design", altered(6, "level", json!("L1")), &[], "its specification defines its rows"),
+        ("design", altered(6, "level", json!("L1")), &[], "its rows are those of a design"),
+        ("rows", vec![variant], &[], "no protocol, but protocol `plus-official` in line 1"),
         ("final", altered(6, "level", json!("L1")), &[], "it is cancelled"),
         ("none", altered(6, "level", json!("L1")), &[], "no such campaign"),
     ] {
@@ -395,7 +393,7 @@ async fn a_larger_design_adds_the_rollouts_that_the_campaign_lacks() {
     for (name, flags, words) in [
         ("first", &["--replicates", "1"][..], "lacks some of its rollouts"),
         ("first", &["--configs", "nine"], "read configuration `nine`"),
-        ("first", &["--manifest", "-"], "read manifest: 1 error"),
+        ("first", &["--rows", "-"], "read manifest: 1 error"),
         ("first", &[], "required"),
         ("drawn", &["--replicates", "2"], "`stop`"),
         ("drawn", &["--levels", "L3"], "it may stop early"),

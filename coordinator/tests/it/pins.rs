@@ -178,7 +178,8 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
             assert!(detail.contains("update the worker's program"), "{detail}");
         }
         let follows = json!({
-            "name": "why", "policy": spec["policy"], "explains": {"campaign": "late"},
+            "name": "why", "policy": spec["policy"], "rows": [],
+            "purpose": {"explanation": {"campaign": "late"}},
             "execution": "hold:7",
         });
         let error = bench.create(&follows).await.expect_err("another model");

@@ -203,6 +203,15 @@ pub(crate) fn fits_a_terminal(text: &str) {
     }
 }
 
+/// Returns the specification `plus` of variants of LIBERO-Plus, as the command line prints it.
+#[rustfmt::skip]
+pub(crate) fn plus_spec(variants: &str) -> Value {
+    succeed_in_json(coordinator(&[
+        "campaign", "create", "--name", "plus", "--policy", "expert", "--endpoint",
+        "http://127.0.0.1:50051", "--suite", "libero-plus", "--variant", variants, "--print-spec",
+    ]))
+}
+
 pub(crate) fn text(bytes: &[u8]) -> &str {
     std::str::from_utf8(bytes).expect("UTF-8")
 }

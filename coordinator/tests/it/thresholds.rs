@@ -226,7 +226,7 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     assert!(error.contains("`first-thresholds` is derived from it"), "{error}");
     let output = serve.command(&first(&["--tolerance", "2"]));
     let error = text(&output.stderr);
-    assert!(error.contains("they differ in `thresholds`"), "{error}");
+    assert!(error.contains("they differ in `purpose`"), "{error}");
     succeed(serve.command(&["campaign", "rename", "first", "final"]));
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
     let output_for_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);

@@ -1,9 +1,13 @@
 """Campaigns of a real coordinator: creation, lists, pauses and status."""
 
 import json
+import os
 import signal
+import subprocess
+import sys
 import time
 from datetime import datetime, timezone
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -88,14 +92,39 @@ def test_a_forecast_counts_rollouts_of_each_suite_and_creates_nothing(client):
     assert len(client.campaigns()) == 0
 
 
-def test_a_forecast_of_a_manifest_counts_the_created_rollouts(client):
+def test_rows_are_forecast_created_and_appended(client):
     design = specification("first", replicates=2)
     text = client._program.run("manifest", "expand", "--spec", "-", text=json.dumps(design))
     rows = [json.loads(line) for line in text.splitlines()]
-    keys = ("policy", "replicates")
-    manifest = {"name": "rows", "manifest": rows[:5], **{key: design[key] for key in keys}}
-    for spec, total in [(design, 16), (manifest, 10)]:
+    of_rows = {"name": "rows", **{key: design[key] for key in ("policy", "replicates")}}
+    for spec, total in [(design, 16), ({**of_rows, "rows": rows[:5]}, 10)]:
         assert client.forecast(spec).total == client.create(spec).status().total == total
+    assert client.create(of_rows, rows=rows[:5]).status().total == 10
+    assert [client.append("rows", rows[4:]), client.append("rows", rows)] == [6, 0]
+    with pytest.raises(RefusedError, match="max_steps 7, but 280"):
+        client.append("rows", [{**rows[0], "max_steps": 7}])
+    with pytest.raises(RefusedError, match="`tasks` and `rows`"):
+        client.create(design, rows=rows)
+
+
+def test_the_example_adds_the_rollouts_of_solved_tasks(serve, connect, gateway, run, tmp_path):
+    server = serve()
+    client = connect(f"http://{server.address}")
+    text = json.dumps(specification("first", configs=[0]))
+    path = tmp_path / "rows.jsonl"
+    path.write_text(client._program.run("manifest", "expand", "--spec", "-", text=text))
+    example = Path(__file__).resolve().parents[2] / "examples" / "perturb_solved.py"
+    command = (sys.executable, example, path, "expert", f"http://{gateway.address}")
+    url, packages = client._connection.access.url, os.pathsep.join(filter(None, sys.path))
+    environment = {**os.environ, "COORDINATOR_URL": url, "PYTHONPATH": packages}
+    with subprocess.Popen(
+        list(map(str, command)), env=environment, stdout=subprocess.PIPE, text=True
+    ) as process:
+        while process.poll() is None and client.campaigns().empty:
+            time.sleep(0.1)
+        run(server, client.campaign("solved"))
+        assert process.communicate(timeout=60)[0].endswith("were added: 3\n")
+    assert client.campaign("solved").status().total == 4
 
 
 def test_a_campaign_is_paused_resumed_and_cancelled(client):

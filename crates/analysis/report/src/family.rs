@@ -281,21 +281,21 @@ impl Family {
         for record in &subject.records {
             let case = Case::of_id(record.id)
                 .map_err(|source| FamilyError::Rollout { campaign: campaign.clone(), source })?;
-            cases.push((case, record.outcome));
+            cases.push((case, record.replicate, record.outcome));
         }
         let count =
-            |expected| cases.iter().filter(|(_, outcome)| *outcome == expected).count() as u64;
-        let unperturbed_success: BTreeMap<(TaskRef, u16), bool> = cases
+            |expected| cases.iter().filter(|(_, _, outcome)| *outcome == expected).count() as u64;
+        let state = |case: &Case, replicate| (case.task, case.trial, replicate);
+        let unperturbed_success: BTreeMap<(TaskRef, u16, u32), bool> = cases
             .iter()
-            .filter(|(case, _)| case.subject == CaseSubject::Unperturbed)
-            .filter_map(|(case, outcome)| Some(((case.task, case.trial), outcome.success()?)))
-            .collect();
-        let counted = cases.iter().filter_map(|(case, outcome)| {
-            Some(Counted {
-                case: *case,
-                success: outcome.success()?,
-                unperturbed_success: unperturbed_success.get(&(case.task, case.trial)).copied(),
+            .filter(|(case, ..)| case.subject == CaseSubject::Unperturbed)
+            .filter_map(|(case, replicate, outcome)| {
+                Some((state(case, *replicate), outcome.success()?))
             })
+            .collect();
+        let counted = cases.iter().filter_map(|(case, replicate, outcome)| {
+            let unperturbed_success = unperturbed_success.get(&state(case, *replicate)).copied();
+            Some(Counted { case: *case, success: outcome.success()?, unperturbed_success })
         });
         let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =
             counted.partition(|rollout| rollout.case.subject == CaseSubject::Unperturbed);

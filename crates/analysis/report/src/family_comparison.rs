@@ -7,7 +7,7 @@ use std::fmt::Write;
 
 use libero_ctrl::RolloutId;
 use libero_family::{Case, Subject as CaseSubject};
-use paired::{Interval, NoInterval};
+use paired::{Interval, NoInterval, Record};
 use serde::Serialize;
 
 use crate::block::{self, Block, Rows, cell};
@@ -84,10 +84,10 @@ impl FamilyComparison {
         // in which only A succeeds, `gained` those in which only B does.
         let counted: Vec<Counted> = outcomes_a
             .iter()
-            .filter_map(|(id, a_success)| {
+            .filter_map(|(rollout, a_success)| {
                 Some(Counted {
-                    case: Case::of_id(*id).ok()?,
-                    success: *outcomes_b.get(id)?,
+                    case: Case::of_id(rollout.0).ok()?,
+                    success: *outcomes_b.get(rollout)?,
                     unperturbed_success: Some(*a_success),
                 })
             })
@@ -183,8 +183,10 @@ impl PairedLine {
     }
 }
 
-/// Returns the outcomes of a campaign's rollouts.
-fn outcomes(subject: &Subject) -> BTreeMap<RolloutId, bool> {
+/// Returns the outcomes of a campaign's rollouts by id and replicate.
+fn outcomes(subject: &Subject) -> BTreeMap<(RolloutId, u32), bool> {
     let records = subject.records.iter();
-    records.filter_map(|record| Some((record.id, record.outcome.success()?))).collect()
+    let outcome =
+        |record: &Record| Some(((record.id, record.replicate), record.outcome.success()?));
+    records.filter_map(outcome).collect()
 }

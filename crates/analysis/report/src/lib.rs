@@ -39,8 +39,8 @@ pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
 pub use sequential::{Sequential, describe_early_stop};
 pub use subject::{
-    BeyondRange, Derived, EarlyStop, Origin, Prospect, Purpose, Quarantined, Setups, Subject,
-    counted, rollout_name,
+    BeyondRange, Derived, EarlyStop, Origin, Prospect, Quarantined, Setups, Subject, counted,
+    rollout_name,
 };
 pub use table::{ResultRow, TableError, write_csv, write_parquet, write_results_parquet};
 pub use threshold_report::{AtRadius, BudgetTooSmall, Kind, Measured, ThresholdReport};

@@ -4,7 +4,8 @@ use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::{
-    Directions, Execution, Explanation, Look, Realisation, RolloutId, Stop, Suite, Thresholds,
+    Directions, Execution, Explanation, Look, Purpose, Realisation, RolloutId, Stop, Suite,
+    Thresholds,
 };
 use paired::{CampaignLook, Count, Progress, Record};
 use rollout_types::{Fingerprints, Provenance};
@@ -106,16 +107,6 @@ impl Prospect {
             }
         }
     }
-}
-
-/// Purpose of a derived campaign.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Purpose {
-    /// Find the minimal subsets of axes that change an outcome.
-    Explanation(Explanation),
-    /// Find the radius at which success turns to failure.
-    Thresholds(Thresholds),
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

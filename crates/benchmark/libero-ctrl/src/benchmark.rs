@@ -34,6 +34,18 @@ impl Benchmark {
         }
     }
 
+    /// Returns the commands that fetch the task files.
+    pub const fn fetch_command(self) -> &'static str {
+        match self {
+            Self::Plus => "worker assets fetch --suite libero-plus",
+            Self::Pro => "worker assets fetch --suite libero-pro",
+            Self::Para => {
+                "git clone https://github.com/cau-hai-lab/LIBERO-Para && git -C LIBERO-Para \
+                 checkout dec2d93 && worker assets fetch --suite libero-para --checkout LIBERO-Para"
+            }
+        }
+    }
+
     /// Returns the benchmark with the given name in rollout ids.
     pub(crate) fn from_tag(tag: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|benchmark| benchmark.tag() == tag)

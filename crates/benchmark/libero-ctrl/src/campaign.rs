@@ -1,6 +1,6 @@
 //! Specification of a campaign: a policy and the rollouts to measure it on. This module
 //! parses and validates the specification; `design` defines the rollouts of a design, and
-//! `manifest` validates imported rows.
+//! `manifest` validates rows.
 
 use serde::{Deserialize, Serialize};
 
@@ -20,9 +20,7 @@ use crate::row::ManifestRow;
 use crate::spec_error::{MAX_REPLICATES, SpecError};
 use crate::stop::{self, Stop, StopError};
 use crate::suite::TaskRef;
-use crate::suite_file::SuiteFile;
 use crate::thresholds::Thresholds;
-use crate::variants::{Variants, VariantsError};
 use crate::wanted::{RendererKind, Wanted};
 use crate::wording::JsonError;
 
@@ -30,8 +28,8 @@ use crate::wording::JsonError;
 ///
 /// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels` and
 /// optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`, `placebo_radius` and
-/// `placebo_configs`; or, instead of all these, `manifest`, `explains`, `thresholds`, `variants`
-/// or `suite_file`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
+/// `placebo_configs`; or, instead of all these, `rows`. Tasks are written as `libero_goal/3`,
+/// `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -39,6 +37,8 @@ pub struct CampaignSpec {
     pub name: String,
     pub policy: PolicyRoute,
     pub rollouts: Rollouts,
+    /// Purpose of rows that follow from the outcomes of another campaign.
+    pub purpose: Option<Purpose>,
     /// Source of the random elements of perturbations.
     pub realisation: Realisation,
     /// Number of runs of every rollout, each with a different policy seed.
@@ -58,15 +58,19 @@ pub struct CampaignSpec {
 pub enum Rollouts {
     /// Rows of a design, expanded with the protocol's parameters and this project's paraphrases.
     Design(Design),
-    /// Rows of a manifest, unchanged, including their instructions.
-    Manifest(Vec<ManifestRow>),
-    /// Subsets of the axes, selected from the outcomes of another campaign.
+    /// Rows that a client sends, unchanged, including their instructions.
+    Rows(Vec<ManifestRow>),
+}
+
+/// Purpose of a campaign whose rows follow from the outcomes of another campaign, the *source*, and
+/// its own. The campaign starts without rows; a client computes and appends them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Purpose {
+    /// Find the minimal subsets of axes that change an outcome.
     Explanation(Explanation),
-    /// Further radii, selected from the outcomes of another campaign.
+    /// Find the radius at which success turns to failure.
     Thresholds(Thresholds),
-    /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
-    Variants(Variants),
-    SuiteFile(Box<SuiteFile>),
 }
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,8 +95,7 @@ pub enum Record {
 }
 
 /// Parameters of a campaign that explains another campaign: it runs subsets of the axes in
-/// configurations whose outcome changed under simultaneous perturbation. The explaining campaign
-/// starts without rows, because the subsets follow from the outcomes of both campaigns.
+/// configurations whose outcome changed under simultaneous perturbation.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Explanation {
@@ -113,36 +116,35 @@ pub struct Explanation {
 }
 
 impl Rollouts {
-    /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
-    pub fn source(&self) -> Option<&str> {
+    /// Returns the protocol of the rows, if they are of LIBERO's family or of a suite file; `None`
+    /// for LIBERO-CTRL.
+    pub fn protocol(&self) -> Option<&str> {
         match self {
-            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => None,
-            Self::Explanation(Explanation { campaign, .. })
-            | Self::Thresholds(Thresholds { campaign, .. }) => Some(campaign),
-        }
-    }
-
-    /// Returns the name of the protocol of LIBERO's family or of a suite file; `None` for
-    /// LIBERO-CTRL.
-    pub fn protocol(&self) -> Option<String> {
-        match self {
-            Self::Variants(variants) => Some(variants.protocol.clone()),
-            Self::SuiteFile(file) => Some(file.protocol()),
-            _ => None,
+            Self::Design(_) => None,
+            Self::Rows(rows) => rows.first()?.protocol.as_deref(),
         }
     }
 
     /// Returns the execution model of a campaign whose specification names none.
     pub fn execution(&self) -> Execution {
         match self {
-            Self::Manifest(rows) => manifest::execution(rows),
-            _ => Execution::Wait,
+            Self::Rows(rows) => manifest::execution(rows),
+            Self::Design(_) => Execution::Wait,
+        }
+    }
+}
+
+impl Purpose {
+    /// Returns the name of the source.
+    pub fn source(&self) -> &str {
+        match self {
+            Self::Explanation(Explanation { campaign, .. })
+            | Self::Thresholds(Thresholds { campaign, .. }) => campaign,
         }
     }
 
     pub fn set_source(&mut self, name: &str) {
         match self {
-            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => {}
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => name.clone_into(campaign),
         }
@@ -176,63 +178,40 @@ impl CampaignSpec {
             let given = given.to_owned();
             return Err(SpecError::Assets { given });
         }
+        if let Some(purpose) = &self.purpose {
+            if purpose.source().is_empty() {
+                return empty("purpose.campaign", "name the campaign to explain or to measure");
+            }
+            if self.rollouts != Rollouts::Rows(Vec::new()) {
+                return Err(SpecError::Purpose);
+            }
+            if self.realisation == Realisation::Reference {
+                return Err(SpecError::Unmatched);
+            }
+            if let Purpose::Thresholds(thresholds) = purpose
+                && let Some((field, given, valid)) = thresholds.out_of_range()
+            {
+                return Err(SpecError::Radius { field, given, valid });
+            }
+        }
         match &self.rollouts {
             Rollouts::Design(design) => {
                 design.check()?;
                 self.check_axes(design.conditions())?;
             }
-            Rollouts::Manifest(rows) => self.check_rows(rows)?,
-            Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
-                let defined_by = match &self.rollouts {
-                    Rollouts::SuiteFile(file) => {
-                        file.check()?;
-                        "suite_file"
-                    }
-                    _ => "variants",
-                };
-                let (execution, stops) = (&self.execution, self.stop.is_some());
-                let (realisation, replicates) = (self.realisation, self.replicates);
-                let excluded = VariantsError::excluded(
-                    defined_by,
-                    realisation,
-                    replicates,
-                    self.record,
-                    execution,
-                    stops,
-                );
-                if let Some(error) = excluded {
-                    return Err(error.into());
-                }
-            }
-            Rollouts::Explanation(explanation) => {
-                if explanation.campaign.is_empty() {
-                    return empty("explains.campaign", "name the campaign to explain");
-                }
-                self.check_matched("explains")?;
-            }
-            Rollouts::Thresholds(thresholds) => {
-                if thresholds.campaign.is_empty() {
-                    return empty("thresholds.campaign", "name the campaign to measure");
-                }
-                if let Some((field, given, valid)) = thresholds.out_of_range() {
-                    return Err(SpecError::Radius { field, given, valid });
-                }
-                self.check_matched("thresholds")?;
-            }
+            Rollouts::Rows(_) if self.purpose.is_some() => {}
+            Rollouts::Rows(rows) => self.check_rows(rows)?,
         }
         if self.stop.is_some() {
             if self.replicates != 1 {
                 return Err(StopError::Replicates { given: self.replicates }.into());
             }
-            let derived = |field| StopError::Derived { field };
             match &self.rollouts {
                 Rollouts::Design(design) if design.axis_set().len() < 2 => {
                     return Err(StopError::NotSimultaneous.into());
                 }
-                Rollouts::Design(_) | Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {}
-                Rollouts::Manifest(rows) => stop::check_rows(rows)?,
-                Rollouts::Explanation(_) => return Err(derived("explains").into()),
-                Rollouts::Thresholds(_) => return Err(derived("thresholds").into()),
+                Rollouts::Design(_) => {}
+                Rollouts::Rows(rows) => stop::check_rows(rows)?,
             }
         }
         Ok(())
@@ -241,9 +220,6 @@ impl CampaignSpec {
     /// Validates rows to be run under this specification.
     pub fn check_rows(&self, rows: &[ManifestRow]) -> Result<(), SpecError> {
         manifest::check(rows)?;
-        if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
-            return Err(SpecError::VariantRow { id: row.id });
-        }
         let (row_model, given) = (manifest::execution(rows), self.execution.clone());
         if !row_model.is_wait() && row_model != given {
             return Err(SpecError::Execution { given, row_model });
@@ -259,22 +235,11 @@ impl CampaignSpec {
         }
     }
 
-    /// Rejects the reference realisation, which `field` excludes.
-    fn check_matched(&self, field: &'static str) -> Result<(), SpecError> {
-        match self.realisation {
-            Realisation::Matched => Ok(()),
-            Realisation::Reference => Err(SpecError::Unmatched { field }),
-        }
-    }
-
     pub fn version(&self) -> DesignVersion {
-        let version = match &self.rollouts {
-            Rollouts::Design(design) => design.version(),
-            Rollouts::Manifest(rows) => DesignVersion::of_rows(rows),
-            Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
-            Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
-            Rollouts::Variants(variants) => DesignVersion::of_variants(variants),
-            Rollouts::SuiteFile(file) => DesignVersion::of_suite_file(file),
+        let version = match (&self.purpose, &self.rollouts) {
+            (Some(purpose), _) => DesignVersion::of_purpose(purpose),
+            (None, Rollouts::Design(design)) => design.version(),
+            (None, Rollouts::Rows(rows)) => DesignVersion::of_rows(rows),
         };
         version.under(&self.execution)
     }
@@ -306,15 +271,9 @@ struct SpecText {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     placebo_configs: Option<Vec<u16>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    manifest: Option<Vec<ManifestRow>>,
+    rows: Option<Vec<ManifestRow>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    explains: Option<Explanation>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    thresholds: Option<Thresholds>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    variants: Option<Variants>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    suite_file: Option<Box<SuiteFile>>,
+    purpose: Option<Purpose>,
     #[serde(default)]
     realisation: Realisation,
     #[serde(default = "default_replicates")]
@@ -336,13 +295,12 @@ struct SpecText {
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(
-        "the field `{0}` is missing: a specification has `tasks`, `axes` and \
-         `levels`, or one of `manifest`, `explains`, `thresholds`, `variants` and `suite_file` \
+        "the field `{0}` is missing: a specification has `tasks`, `axes` and `levels`, or `rows` \
          instead"
     )]
     Missing(&'static str),
-    #[error("`{other}` and `{field}` both define the rollouts: remove one of them")]
-    ConflictingSources { other: &'static str, field: &'static str },
+    #[error("`{0}` and `rows` both define the rollouts: remove one of them")]
+    ConflictingSources(&'static str),
     #[error(transparent)]
     Task(#[from] UnknownName),
     #[error(transparent)]
@@ -353,19 +311,12 @@ impl TryFrom<SpecText> for CampaignSpec {
     type Error = TextError;
 
     fn try_from(mut text: SpecText) -> Result<Self, TextError> {
-        check_single_source(&text)?;
-        let rollouts = if let Some(rows) = text.manifest.take() {
-            Rollouts::Manifest(rows)
-        } else if let Some(explanation) = text.explains.take() {
-            Rollouts::Explanation(explanation)
-        } else if let Some(thresholds) = text.thresholds.take() {
-            Rollouts::Thresholds(thresholds)
-        } else if let Some(variants) = text.variants.take() {
-            Rollouts::Variants(variants)
-        } else if let Some(file) = text.suite_file.take() {
-            Rollouts::SuiteFile(file)
-        } else {
-            Rollouts::Design(design(&mut text)?)
+        let rollouts = match text.rows.take() {
+            Some(rows) => {
+                check_has_no_design(&text)?;
+                Rollouts::Rows(rows)
+            }
+            None => Rollouts::Design(design(&mut text)?),
         };
         Ok(Self {
             name: text.name,
@@ -377,6 +328,7 @@ impl TryFrom<SpecText> for CampaignSpec {
             stop: text.stop,
             execution: text.execution.unwrap_or_else(|| rollouts.execution()),
             rollouts,
+            purpose: text.purpose,
         })
     }
 }
@@ -396,11 +348,8 @@ impl From<CampaignSpec> for SpecText {
             directions: None,
             placebo_radius: None,
             placebo_configs: None,
-            manifest: None,
-            explains: None,
-            thresholds: None,
-            variants: None,
-            suite_file: None,
+            rows: None,
+            purpose: spec.purpose,
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
@@ -411,11 +360,7 @@ impl From<CampaignSpec> for SpecText {
             execution: (!spec.execution.is_wait()).then_some(spec.execution),
         };
         match spec.rollouts {
-            Rollouts::Manifest(rows) => text.manifest = Some(rows),
-            Rollouts::Explanation(explanation) => text.explains = Some(explanation),
-            Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
-            Rollouts::Variants(variants) => text.variants = Some(variants),
-            Rollouts::SuiteFile(file) => text.suite_file = Some(file),
+            Rollouts::Rows(rows) => text.rows = Some(rows),
             Rollouts::Design(design) => {
                 if design.has_placebo() {
                     text.placebo_radius = Some(design.placebo.radius.radius());
@@ -436,13 +381,8 @@ impl From<CampaignSpec> for SpecText {
     }
 }
 
-fn check_single_source(text: &SpecText) -> Result<(), TextError> {
+fn check_has_no_design(text: &SpecText) -> Result<(), TextError> {
     let written = [
-        ("manifest", text.manifest.is_some()),
-        ("explains", text.explains.is_some()),
-        ("thresholds", text.thresholds.is_some()),
-        ("variants", text.variants.is_some()),
-        ("suite_file", text.suite_file.is_some()),
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
         ("subsets", text.subsets.is_some()),
@@ -454,13 +394,8 @@ fn check_single_source(text: &SpecText) -> Result<(), TextError> {
         ("placebo_radius", text.placebo_radius.is_some()),
         ("placebo_configs", text.placebo_configs.is_some()),
     ];
-    let exclusive = &written[..5];
-    let Some(&(field, _)) = exclusive.iter().find(|(_, is_written)| *is_written) else {
-        return Ok(());
-    };
-    let is_conflicting = |(name, is_written): &&(&str, bool)| *is_written && *name != field;
-    match written.iter().find(is_conflicting) {
-        Some(&(other, _)) => Err(TextError::ConflictingSources { other, field }),
+    match written.into_iter().find(|(_, is_written)| *is_written) {
+        Some((field, _)) => Err(TextError::ConflictingSources(field)),
         None => Ok(()),
     }
 }

@@ -412,7 +412,7 @@ mod tests {
         assert_eq!(DesignVersion::of_manifest(&rows).as_str(), "v0.1");
         rows[17].instruction.push('!');
         let changed = DesignVersion::of_manifest(&rows);
-        assert!(changed.as_str().starts_with("manifest-"), "{changed}");
+        assert!(changed.as_str().starts_with("rows-"), "{changed}");
         assert_eq!(changed.to_string().parse(), Ok(changed.clone()));
         rows.pop();
         assert_ne!(DesignVersion::of_manifest(&rows), changed);

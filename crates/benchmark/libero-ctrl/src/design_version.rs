@@ -1,30 +1,20 @@
-//! Identifiers of designs: v0.1, custom designs, manifests, campaigns derived from another one's
-//! outcomes, variants, and suite files.
+//! Identifiers of designs: v0.1, custom designs, rows, and campaigns with a purpose.
 
-use serde::Serialize;
-
-use crate::campaign::Explanation;
+use crate::campaign::Purpose;
 use crate::design::Design;
 use crate::execution::Execution;
 use crate::manifest;
 use crate::names::{UnknownName, serde_as_text};
 use crate::row::ManifestRow;
-use crate::suite_file::SuiteFile;
-use crate::thresholds::Thresholds;
-use crate::variants::Variants;
 
 const V0_1: &str = "v0.1";
 const CUSTOM: &str = "custom-";
-const MANIFEST: &str = "manifest-";
-const EXPLAINS: &str = "explains-";
-const THRESHOLDS: &str = "thresholds-";
-const VARIANTS: &str = "variants-";
-const SUITE: &str = "suite-";
+const ROWS: &str = "rows-";
+const PURPOSE: &str = "purpose-";
 
 /// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
-/// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-`, `thresholds-`, `variants-` or `suite-` and a checksum of the
-/// specification's field that defines the rollouts.
+/// otherwise `custom-` and a checksum of the design, `rows-` and a checksum of the rows, or
+/// `purpose-` and a checksum of the purpose.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
@@ -37,10 +27,6 @@ impl DesignVersion {
     /// Returns the version of a design other than v0.1, from a text that identifies the design.
     pub(crate) fn custom(text: &str) -> Self {
         Self(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
-    }
-
-    pub(crate) fn manifest(text: &str) -> Self {
-        Self(format!("{MANIFEST}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
     /// Returns the version of imported rows, independent of their order. Rows identical to
@@ -62,23 +48,12 @@ impl DesignVersion {
         if rows.len() == v0_1.len() && imported == text(&v0_1) {
             return Self::v0_1();
         }
-        Self::manifest(&imported)
+        Self(format!("{ROWS}{:08x}", crc32fast::hash(imported.as_bytes())))
     }
 
-    pub fn of_explanation(explanation: &Explanation) -> Self {
-        Self::of_derived(EXPLAINS, explanation)
-    }
-
-    pub fn of_thresholds(thresholds: &Thresholds) -> Self {
-        Self::of_derived(THRESHOLDS, thresholds)
-    }
-
-    pub(crate) fn of_variants(variants: &Variants) -> Self {
-        Self::of_derived(VARIANTS, variants)
-    }
-
-    pub(crate) fn of_suite_file(file: &SuiteFile) -> Self {
-        Self::of_derived(SUITE, file)
+    pub(crate) fn of_purpose(purpose: &Purpose) -> Self {
+        let text = serde_json::to_string(purpose).expect("names and numbers serialise");
+        Self(format!("{PURPOSE}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
     /// Returns the version of the same rollouts under an execution model: this version for `wait`,
@@ -87,15 +62,10 @@ impl DesignVersion {
         if execution.is_wait() {
             return self;
         }
-        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
+        let prefixes = [ROWS, PURPOSE];
         let prefix = prefixes.into_iter().find(|prefix| self.0.starts_with(prefix));
         let text = format!("{} {execution}", self.0);
         Self(format!("{}{:08x}", prefix.unwrap_or(CUSTOM), crc32fast::hash(text.as_bytes())))
-    }
-
-    fn of_derived(prefix: &str, from: &impl Serialize) -> Self {
-        let text = serde_json::to_string(from).expect("names and numbers serialise");
-        Self(format!("{prefix}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
     pub fn as_str(&self) -> &str {
@@ -113,19 +83,11 @@ impl std::str::FromStr for DesignVersion {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
+        let prefixes = [CUSTOM, ROWS, PURPOSE];
         match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
             true => Ok(Self(text.to_owned())),
             false => {
-                let valid = [
-                    V0_1,
-                    "custom-CHECKSUM",
-                    "manifest-CHECKSUM",
-                    "explains-CHECKSUM",
-                    "thresholds-CHECKSUM",
-                    "variants-CHECKSUM",
-                    "suite-CHECKSUM",
-                ];
+                let valid = [V0_1, "custom-CHECKSUM", "rows-CHECKSUM", "purpose-CHECKSUM"];
                 Err(UnknownName::new("design", text, &valid))
             }
         }

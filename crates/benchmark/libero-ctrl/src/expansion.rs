@@ -20,20 +20,13 @@ use crate::spec_error::SpecError;
 use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 
 impl CampaignSpec {
-    /// Returns the rows of the campaign's design, manifest or suite file under its execution
-    /// model; no rows for other specifications. The rows of a design or manifest are in the order
-    /// of [`Design::expand`].
+    /// Returns the campaign's rows under its execution model, in the order of [`Design::expand`];
+    /// those of LIBERO's family or of a suite file stay in the order given.
     pub fn expand(&self) -> Result<Vec<ManifestRow>, SpecError> {
         self.check()?;
         let rows = match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
-            Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
-            Rollouts::SuiteFile(file) => file.rows(),
-            // Explanations and thresholds are planned from outcomes at run time;
-            // `libero_family::expand` makes the rows of variants.
-            Rollouts::Explanation(_) | Rollouts::Thresholds(_) | Rollouts::Variants(_) => {
-                Vec::new()
-            }
+            Rollouts::Rows(rows) => paired_units_first(rows.clone()),
         };
         let rows = rows.into_iter().map(|row| row.under(&self.execution));
         Ok(rows.collect())
@@ -155,7 +148,7 @@ fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
         let (id, task) = (row.id, row.id.task());
         let paired = first_configs.get(&(task, row.init_id)).copied();
         let unit = id.config().or(paired);
-        (unit.is_none(), unit, task, id.level(), id)
+        (unit.is_none(), unit, id.variant().is_none().then_some((task, id.level(), id)))
     });
     rows
 }

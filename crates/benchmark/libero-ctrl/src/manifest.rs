@@ -164,6 +164,12 @@ pub enum LineProblem {
              models into separate manifests"
     )]
     Execution { id: RolloutId, given: Execution, expected: Execution, first: usize },
+    #[error(
+        "{id}: {}, but {} in line {first}: put rows of different benchmarks into separate manifests",
+        protocol_text(given),
+        protocol_text(expected)
+    )]
+    Protocol { id: RolloutId, given: Option<String>, expected: Option<String>, first: usize },
     #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
     #[error("the manifest has no rows")]
@@ -219,6 +225,8 @@ struct Checker {
     configurations: BTreeMap<(TaskRef, Level, u16), Configuration>,
     /// Execution model of the first row outside the latency axis, and the row's line.
     execution: Option<(Execution, usize)>,
+    /// Protocol of the first row, and the row's line.
+    protocol: Option<(Option<String>, usize)>,
     errors: ManifestErrors,
 }
 
@@ -237,6 +245,11 @@ impl Checker {
         let id = row.id;
         if !id.condition().sets_execution() {
             self.check_execution(line, row);
+        }
+        let (expected, first) = self.protocol.get_or_insert_with(|| (row.protocol.clone(), line));
+        if *expected != row.protocol {
+            let (given, expected, first) = (row.protocol.clone(), expected.clone(), *first);
+            self.errors.add(line, LineProblem::Protocol { id, given, expected, first });
         }
         let first = *self.lines_of_ids.entry(id).or_insert(line);
         if first != line {
@@ -295,6 +308,10 @@ impl Checker {
             _ => Err(self.errors),
         }
     }
+}
+
+fn protocol_text(protocol: &Option<String>) -> String {
+    protocol.as_ref().map_or_else(|| "no protocol".to_owned(), |name| format!("protocol `{name}`"))
 }
 
 fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {

@@ -94,7 +94,7 @@ mod tests {
         assert_eq!(result, Err(NotMeasurable::NoCondition));
         let result = check(|design| design.levels = vec![Level::L0], &[]);
         assert_eq!(result, Err(NotMeasurable::NoCondition));
-        let imported = thresholds(&[]).check_measurable(&Rollouts::Manifest(Vec::new()));
+        let imported = thresholds(&[]).check_measurable(&Rollouts::Rows(Vec::new()));
         assert_eq!(imported, Err(NotMeasurable::NoDesign));
     }
 }

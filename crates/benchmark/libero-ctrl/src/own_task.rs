@@ -3,6 +3,11 @@
 
 use serde::{Deserialize, Serialize};
 
+/// Highest number of a corruption of LIBERO-Plus.
+const MAX_NOISE: u8 = 50;
+/// Longest path of a task file in its folder, bytes.
+const MAX_PATH_BYTES: usize = 255;
+
 /// State of the environment at the start of a rollout, before the settling steps.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -57,19 +62,93 @@ pub struct OwnTask {
 }
 
 impl OwnTask {
-    pub(crate) fn path_outside(&self) -> Option<&str> {
-        let mut paths = [&self.folder, &self.bddl, &self.states].into_iter();
-        paths.find(|path| !stays_inside(path)).map(String::as_str)
+    /// Checks a task that did not come from a suite file.
+    pub(crate) fn check(&self) -> Result<(), InvalidField> {
+        for (field, path) in
+            [("folder", &self.folder), ("bddl", &self.bddl), ("states", &self.states)]
+        {
+            check_path(&format!("own.{field}"), path)?;
+        }
+        self.changes.check(&|field| format!("own.changes.{field}"))
     }
 }
 
-/// Longest path of a task file in its folder, bytes.
-const MAX_PATH_BYTES: usize = 255;
+impl Changes {
+    /// Checks the values; `path` returns the path of a field, for the error.
+    pub(crate) fn check(&self, path: &dyn Fn(&str) -> String) -> Result<(), InvalidField> {
+        let Changes { view, posture, noise, sha256 } = self;
+        if let Some([horizontal, vertical, scale, pan, tilt]) = view {
+            let angles = [horizontal, vertical, pan, tilt];
+            if *scale == 0 || angles.into_iter().any(|angle| *angle >= 360) {
+                let remedy = "write horizontal and vertical angle, distance, pan and tilt: angles \
+                              of 0 to 359 degrees, and a distance above 0 per cent";
+                return Err(invalid(&path("view"), &format!("{view:?}"), remedy));
+            }
+        }
+        let is_angle = |angle: &f64| angle.abs() <= std::f64::consts::TAU;
+        if let Some(posture) = posture
+            && !posture.iter().all(is_angle)
+        {
+            let remedy = "write seven angles in rad, from -2π to 2π";
+            return Err(invalid(&path("posture"), &format!("{posture:?}"), remedy));
+        }
+        if let Some(noise) = noise {
+            let most = MAX_NOISE.into();
+            check_range(&path("noise"), u32::from(*noise), 1, most)?;
+        }
+        let is_hex = |text: &String| {
+            text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
+        };
+        if let Some(text) = sha256
+            && !is_hex(text)
+        {
+            let remedy = "write the 64 digits that `cat BDDL STATES | sha256sum` prints for the \
+                          task's two files";
+            return Err(invalid(&path("sha256"), &quoted(text), remedy));
+        }
+        Ok(())
+    }
+}
 
-/// Returns true if a path stays in its folder, on every system, and has at most
-/// [`MAX_PATH_BYTES`] bytes.
-pub(crate) fn stays_inside(path: &str) -> bool {
+/// A field with a value that is not valid.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{field}` is {given}: {remedy}")]
+pub struct InvalidField {
+    pub field: String,
+    pub given: String,
+    pub remedy: String,
+}
+
+pub(crate) fn quoted(text: &str) -> String {
+    format!("`{text}`")
+}
+
+pub(crate) fn invalid(field: &str, given: &str, remedy: &str) -> InvalidField {
+    InvalidField { field: field.to_owned(), given: given.to_owned(), remedy: remedy.to_owned() }
+}
+
+/// Checks that a path stays in its folder, on every system, and is not too long.
+pub(crate) fn check_path(field: &str, path: &str) -> Result<(), InvalidField> {
     let is_plain = |part: &str| !matches!(part, "" | "." | "..");
     let is_excluded = |letter: char| matches!(letter, '\\' | ':') || letter.is_control();
-    path.len() <= MAX_PATH_BYTES && path.split('/').all(is_plain) && !path.contains(is_excluded)
+    if path.len() <= MAX_PATH_BYTES && path.split('/').all(is_plain) && !path.contains(is_excluded)
+    {
+        return Ok(());
+    }
+    Err(invalid(field, &quoted(path), "write a relative path with / and without . and .."))
+}
+
+pub(crate) fn check_range(
+    field: &str,
+    given: u32,
+    least: u32,
+    most: u32,
+) -> Result<(), InvalidField> {
+    match (least..=most).contains(&given) {
+        true => Ok(()),
+        false => {
+            let remedy = format!("write {least} to {most}");
+            Err(invalid(field, &given.to_string(), &remedy))
+        }
+    }
 }

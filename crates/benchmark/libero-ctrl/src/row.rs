@@ -7,13 +7,14 @@ use serde_json::{Map, Value};
 
 use crate::axis::{ActsOn, Axis};
 use crate::axis_set::AxisSet;
+use crate::benchmark::Benchmark;
 use crate::condition::Condition;
 use crate::design::{PLACEBO_RADII, Placebo};
 use crate::execution::Execution;
 use crate::latency::execution_at;
 use crate::level::Level;
 use crate::names::UnknownName;
-use crate::own_task::OwnTask;
+use crate::own_task::{InvalidField, OwnTask};
 use crate::perturbation::{PerturbError, Perturbation};
 use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
@@ -55,6 +56,8 @@ pub struct ManifestRow {
     pub protocol: Option<String>,
     /// Task of a suite file; `None` for all other rows.
     pub own: Option<Box<OwnTask>>,
+    /// Benchmark whose task files the rollout needs; `None` if LIBERO's or its own suffice.
+    pub files: Option<Benchmark>,
 }
 
 impl ManifestRow {
@@ -73,6 +76,7 @@ impl ManifestRow {
             execution: Execution::Wait,
             protocol: None,
             own: None,
+            files: None,
         }
     }
 
@@ -166,11 +170,8 @@ pub enum RowError {
         if *is_given { "given" } else { "missing" }
     )]
     Own { id: RolloutId, is_given: bool },
-    #[error(
-        "read row {id}: `own` has the path `{path}`; write a relative path with / and without . \
-         and .."
-    )]
-    OwnPath { id: RolloutId, path: String },
+    #[error("read row {id}: {problem}")]
+    OwnTask { id: RolloutId, problem: InvalidField },
     #[error("read row {id}: {problem}")]
     Perturb {
         id: RolloutId,
@@ -208,6 +209,8 @@ struct FlatRow {
     protocol: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     own: Option<Box<OwnTask>>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    files: Option<Benchmark>,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -240,6 +243,7 @@ impl From<ManifestRow> for FlatRow {
             execution: row.execution,
             protocol: row.protocol,
             own: row.own,
+            files: row.files,
             perturb: row.perturbation.to_manifest(id.condition()),
         }
     }
@@ -280,9 +284,8 @@ impl TryFrom<FlatRow> for ManifestRow {
         if is_given != (id.task().suite() == Suite::Own) {
             return Err(RowError::Own { id, is_given });
         }
-        if let Some(path) = flat.own.as_deref().and_then(OwnTask::path_outside) {
-            let path = path.to_owned();
-            return Err(RowError::OwnPath { id, path });
+        if let Some(Err(problem)) = flat.own.as_deref().map(OwnTask::check) {
+            return Err(RowError::OwnTask { id, problem });
         }
         if condition.sets_execution() {
             let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
@@ -314,6 +317,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             execution: flat.execution,
             protocol: flat.protocol,
             own: flat.own,
+            files: flat.files,
         })
     }
 }

@@ -1,10 +1,7 @@
 use crate::design::DesignError;
 use crate::execution::Execution;
 use crate::manifest::ManifestErrors;
-use crate::rollout_id::RolloutId;
 use crate::stop::StopError;
-use crate::suite_file::SuiteFileError;
-use crate::variants::VariantsError;
 use crate::wanted::MIN_DIGEST_DIGITS;
 
 pub const MAX_REPLICATES: u32 = 100;
@@ -34,16 +31,21 @@ pub enum SpecError {
     )]
     Assets { given: String },
     #[error(
-        "read campaign specification: `{field}` with `realisation` reference, in which each \
+        "read campaign specification: `purpose` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
     )]
-    Unmatched { field: &'static str },
+    Unmatched,
+    #[error(
+        "read campaign specification: `purpose` beside rollouts, which follow from outcomes and are \
+         appended: write `rows` [] and no design"
+    )]
+    Purpose,
     #[error(
         "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
     )]
     Radius { field: &'static str, given: f64, valid: [f64; 2] },
     #[error(
-        "read campaign specification: `execution` is {given}, but the rows of its manifest have \
+        "read campaign specification: `execution` is {given}, but its rows have \
          `{row_model}`: remove `execution` from the specification or from the rows"
     )]
     Execution { given: Execution, row_model: Execution },
@@ -56,17 +58,6 @@ pub enum SpecError {
     Stop(StopError),
     #[error("read campaign specification: {0}")]
     Design(DesignError),
-    #[error("read campaign specification: {0}")]
-    Variants(VariantsError),
-    #[error("read campaign specification: {problem}")]
-    Selection { problem: String },
-    #[error(
-        "read campaign specification: row {id} of its manifest is of another benchmark, whose \
-         campaigns are specified with `variants` or `suite_file`: remove the row"
-    )]
-    VariantRow { id: RolloutId },
-    #[error("read campaign specification: {0}")]
-    SuiteFile(SuiteFileError),
     #[error(transparent)]
     Manifest(#[from] ManifestErrors),
 }
@@ -76,18 +67,6 @@ pub enum SpecError {
 impl From<StopError> for SpecError {
     fn from(error: StopError) -> Self {
         Self::Stop(error)
-    }
-}
-
-impl From<VariantsError> for SpecError {
-    fn from(error: VariantsError) -> Self {
-        Self::Variants(error)
-    }
-}
-
-impl From<SuiteFileError> for SpecError {
-    fn from(error: SuiteFileError) -> Self {
-        Self::SuiteFile(error)
     }
 }
 

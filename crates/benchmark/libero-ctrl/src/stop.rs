@@ -58,11 +58,9 @@ pub enum StopError {
          or remove `stop`"
     )]
     Replicates { given: u32 },
-    #[error("`stop` with `{field}`, whose campaigns end without a stop rule: remove `stop`")]
-    Derived { field: &'static str },
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
-         not in the manifest; add it, or remove `stop`"
+         not among the rows; add it, or remove `stop`"
     )]
     Missing { rollout: RolloutId },
 }

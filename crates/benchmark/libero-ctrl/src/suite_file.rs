@@ -7,7 +7,9 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
-use crate::own_task::{Beginning, Changes, OwnTask, stays_inside};
+use crate::own_task::{
+    Beginning, Changes, InvalidField, OwnTask, check_path, check_range, invalid, quoted,
+};
 use crate::perturbation::Perturbation;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
@@ -27,8 +29,6 @@ const MAX_WAITS: u32 = 1000;
 const MAX_PROMPT_BYTES: usize = 4096;
 /// Number of digits of a file's digest in the name of its protocol.
 const DIGEST_DIGITS: usize = 16;
-/// Highest number of a corruption of LIBERO-Plus.
-const MAX_NOISE: u8 = 50;
 
 /// Source of the prompts of a suite file's tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -163,8 +163,8 @@ impl From<FileTask> for TaskText {
 pub enum SuiteFileError {
     #[error("read suite file: {problem}; docs/FAMILY.md describes its fields")]
     Json { problem: String },
-    #[error("read suite file: `{field}` is {given}: {remedy}")]
-    Value { field: String, given: String, remedy: String },
+    #[error("read suite file: {0}")]
+    Value(InvalidField),
 }
 
 impl SuiteFile {
@@ -172,11 +172,11 @@ impl SuiteFile {
         let file: Self = serde_json::from_str(text).map_err(|error| SuiteFileError::Json {
             problem: JsonError::from(error).to_string(),
         })?;
-        file.check()?;
+        file.check().map_err(SuiteFileError::Value)?;
         Ok(file)
     }
 
-    pub fn check(&self) -> Result<(), SuiteFileError> {
+    pub fn check(&self) -> Result<(), InvalidField> {
         check_name("name", &self.name)?;
         if let Some(folder) = &self.folder {
             check_path("folder", folder)?;
@@ -303,7 +303,7 @@ impl SuiteFile {
 }
 
 impl FileTask {
-    fn check(&self, field: &dyn Fn(&str) -> String) -> Result<(), SuiteFileError> {
+    fn check(&self, field: &dyn Fn(&str) -> String) -> Result<(), InvalidField> {
         if self.name.contains(['/', '\\', NAME]) {
             let remedy = "write the name of its files, without folder and ending";
             return Err(invalid(&field("name"), &quoted(&self.name), remedy));
@@ -318,37 +318,7 @@ impl FileTask {
             let remedy = format!("write at most {MAX_PROMPT_BYTES} bytes on one line");
             return Err(invalid(&field("prompt"), "too long or of several lines", &remedy));
         }
-        let Changes { view, posture, noise, sha256 } = &self.changes;
-        if let Some([horizontal, vertical, scale, pan, tilt]) = view {
-            let angles = [horizontal, vertical, pan, tilt];
-            if *scale == 0 || angles.into_iter().any(|angle| *angle >= 360) {
-                let remedy = "write horizontal and vertical angle, distance, pan and tilt: angles \
-                              of 0 to 359 degrees, and a distance above 0 per cent";
-                return Err(invalid(&field("view"), &format!("{view:?}"), remedy));
-            }
-        }
-        let is_angle = |angle: &f64| angle.abs() <= std::f64::consts::TAU;
-        if let Some(posture) = posture
-            && !posture.iter().all(is_angle)
-        {
-            let remedy = "write seven angles in rad, from -2π to 2π";
-            return Err(invalid(&field("posture"), &format!("{posture:?}"), remedy));
-        }
-        if let Some(noise) = noise {
-            let most = MAX_NOISE.into();
-            check_range(&field("noise"), u32::from(*noise), 1, most)?;
-        }
-        let is_hex = |text: &String| {
-            text.len() == 64 && text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
-        };
-        if let Some(text) = sha256
-            && !is_hex(text)
-        {
-            let remedy = "write the 64 digits that `cat BDDL STATES | sha256sum` prints for the \
-                          task's two files";
-            return Err(invalid(&field("sha256"), &quoted(text), remedy));
-        }
-        Ok(())
+        self.changes.check(field)
     }
 }
 
@@ -356,19 +326,7 @@ const fn all_states() -> u16 {
     INIT_STATES_PER_TASK
 }
 
-fn quoted(text: &str) -> String {
-    format!("`{text}`")
-}
-
-fn invalid(field: &str, given: &str, remedy: &str) -> SuiteFileError {
-    SuiteFileError::Value {
-        field: field.to_owned(),
-        given: given.to_owned(),
-        remedy: remedy.to_owned(),
-    }
-}
-
-fn check_name(field: &str, name: &str) -> Result<(), SuiteFileError> {
+fn check_name(field: &str, name: &str) -> Result<(), InvalidField> {
     let remedy = format!(
         "write 1 to {MAX_CHANGE_BYTES} lower-case letters, digits and _, and another word than \
          `unperturbed`"
@@ -376,26 +334,6 @@ fn check_name(field: &str, name: &str) -> Result<(), SuiteFileError> {
     match VariantName::own(name) {
         Ok(_) => Ok(()),
         Err(_) => Err(invalid(field, &quoted(name), &remedy)),
-    }
-}
-
-fn check_path(field: &str, path: &str) -> Result<(), SuiteFileError> {
-    match stays_inside(path) {
-        true => Ok(()),
-        false => {
-            let remedy = "write a relative path with / and without . and ..";
-            Err(invalid(field, &quoted(path), remedy))
-        }
-    }
-}
-
-fn check_range(field: &str, given: u32, least: u32, most: u32) -> Result<(), SuiteFileError> {
-    match (least..=most).contains(&given) {
-        true => Ok(()),
-        false => {
-            let remedy = format!("write {least} to {most}");
-            Err(invalid(field, &given.to_string(), &remedy))
-        }
     }
 }
 

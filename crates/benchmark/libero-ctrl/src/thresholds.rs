@@ -9,8 +9,7 @@ pub const TOLERANCES: [f64; 2] = [0.01, 100.0];
 pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
 
 /// Parameters of a campaign that measures the thresholds of another campaign, the source: it runs
-/// the source's configurations at further radii. The measuring campaign starts without manifest
-/// rows, because its radii follow from the outcomes of both campaigns.
+/// the source's configurations at further radii.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {
@@ -48,8 +47,8 @@ impl Thresholds {
 
     pub(crate) fn out_of_range(&self) -> Option<(&'static str, f64, [f64; 2])> {
         let fields = [
-            ("thresholds.tolerance", self.tolerance, TOLERANCES),
-            ("thresholds.max_radius", self.max_radius, MAX_RADII),
+            ("purpose.thresholds.tolerance", self.tolerance, TOLERANCES),
+            ("purpose.thresholds.max_radius", self.max_radius, MAX_RADII),
         ];
         let is_outside =
             |(_, given, [low, high]): &(&str, f64, [f64; 2])| !(*low..=*high).contains(given);

@@ -139,7 +139,7 @@ proptest! {
 
         let mut shuffled = rows.clone();
         shuffled.sort_by_key(|row| std::cmp::Reverse(row.id));
-        let imported = campaign(Rollouts::Manifest(shuffled)).expand().expect("rows");
+        let imported = campaign(Rollouts::Rows(shuffled)).expand().expect("rows");
         prop_assert_eq!(imported, rows);
     }
 
@@ -221,6 +221,7 @@ fn campaign(rollouts: Rollouts) -> CampaignSpec {
             endpoint: "http://127.0.0.1:50051".to_owned(),
         },
         rollouts,
+        purpose: None,
         realisation: Realisation::Matched,
         replicates: 1,
         record: Record::None,

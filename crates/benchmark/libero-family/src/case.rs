@@ -159,8 +159,17 @@ impl Case {
             settle_steps: protocol.waits,
             max_steps: protocol.budget(self.task.suite()),
             protocol: Some(protocol.name.to_owned()),
+            files: self.own_files(),
             ..row
         }
+    }
+
+    /// Returns the benchmark whose task files the rollout needs; `None` if LIBERO's suffice.
+    fn own_files(&self) -> Option<Benchmark> {
+        let Subject::Plus(entry) = self.subject else { return self.benchmark() };
+        let variant = &entry.variant;
+        let has_own = variant.bddl_stem() != self.task.name() || variant.has_one_state();
+        has_own.then_some(Benchmark::Plus)
     }
 
     /// Returns the files that the case needs in addition to LIBERO's and to the benchmark's task
@@ -209,6 +218,8 @@ fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
 
 #[cfg(test)]
 mod tests {
+    use libero_ctrl::TaskKey;
+
     use super::*;
 
     #[test]
@@ -256,5 +267,31 @@ mod tests {
         let pair = case("goal/t8/para:unperturbed/i00").row(&official);
         assert_eq!(pair.instruction, "put the bowl on the plate");
         assert_eq!((pair.settle_steps, pair.max_steps, pair.init_id), (10, 300, 0));
+    }
+
+    #[test]
+    fn a_rows_key_names_the_benchmark_whose_files_the_rollout_needs() {
+        for (id, expected) in [
+            ("goal/t8/plus:unperturbed/i00", "libero_goal/8"),
+            ("goal/t8/plus:noise_30/i00", "libero_goal/8"),
+            ("goal/t8/plus:initstate_19/i00", "libero_goal/8"),
+            ("goal/t8/plus:language_1/i00", "libero_goal/8+libero-plus"),
+            ("goal/t8/plus:level1_sample1/i00", "libero_goal/8+libero-plus"),
+            ("object/t0/plus:tb_18/i00", "libero_object/0+libero-plus"),
+            ("goal/t8/pro:swap/i07", "libero_goal/8+libero-pro"),
+            ("goal/t8/para:act_hint_1/i00", "libero_goal/8+libero-para"),
+            ("goal/t8/para:unperturbed/i00", "libero_goal/8"),
+        ] {
+            let id: RolloutId = id.parse().expect("an id");
+            let benchmark = id.variant().and_then(|name| name.benchmark()).expect("a benchmark");
+            let row = Case::of_id(id).expect("a case").row(&Protocol::official(benchmark));
+            assert_eq!(TaskKey::of_row(&row), expected, "{id}");
+            assert_eq!(TaskKey::files_of(expected), row.files);
+            let key = TaskKey { task: id.task(), files: row.files };
+            assert!(TaskKey::of_task(key.task).any(|other| other == key));
+            if let Some(benchmark) = key.files {
+                assert!(TaskKey::needing(benchmark).any(|other| other == key));
+            }
+        }
     }
 }

@@ -3,7 +3,6 @@
 use std::fmt;
 
 use crate::case::{Case, Further};
-use crate::para;
 use crate::protocol::Benchmark;
 
 /// Largest number of rollouts that a report names per reason; the others are counted.
@@ -35,7 +34,7 @@ impl fmt::Display for Lack {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::TaskFiles(benchmark) => {
-                write!(f, "task files; run `{}`", fetch_command(*benchmark))
+                write!(f, "task files; run `{}`", benchmark.fetch_command())
             }
             Self::Folder(path) => write!(
                 f,
@@ -67,14 +66,6 @@ impl fmt::Display for Lack {
                  rollout` a folder that has them with --assets (docs/FAMILY.md)"
             ),
         }
-    }
-}
-
-pub fn fetch_command(benchmark: Benchmark) -> &'static str {
-    match benchmark {
-        Benchmark::Plus => "worker assets fetch --suite libero-plus",
-        Benchmark::Pro => "worker assets fetch --suite libero-pro",
-        Benchmark::Para => para::FETCH,
     }
 }
 

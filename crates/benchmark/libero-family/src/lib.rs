@@ -10,7 +10,6 @@
 mod case;
 mod lack;
 mod selection;
-mod task_key;
 
 pub mod corruption;
 pub mod para;
@@ -19,8 +18,5 @@ pub mod pro;
 pub mod protocol;
 
 pub use case::{Case, Further, Subject};
-pub use lack::{Lack, Lacking, fetch_command};
-pub use selection::{
-    ParaFilters, PlusFilters, ProFilters, Selection, SelectionError, expand, left_out,
-};
-pub use task_key::TaskKey;
+pub use lack::{Lack, Lacking};
+pub use selection::{ParaFilters, PlusFilters, ProFilters, Selection, SelectionError};

@@ -14,6 +14,4 @@ pub const PACKAGE: &str = "libero/libero";
 /// Path of the metadata in a checkout.
 pub const METADATA: &str = "metrics/libero_para_metadata.csv";
 /// Commands that get the sentences: a checkout of the commit, and the copy of its files.
-pub const FETCH: &str = "git clone https://github.com/cau-hai-lab/LIBERO-Para && git -C LIBERO-Para \
-                         checkout dec2d93 && worker assets fetch --suite libero-para --checkout \
-                         LIBERO-Para";
+pub const FETCH: &str = libero_ctrl::Benchmark::Para.fetch_command();

@@ -1,14 +1,13 @@
 //! Expansion of a campaign's specification into the rows of the job table, and the digest of the
-//! specification. The crates `libero-ctrl` and `libero-family` define the contents and the order of
+//! specification. The crate `libero-ctrl` defines the contents and the order of
 //! manifest rows: in a design, a configuration's nominal rollout precedes its perturbed rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use libero_ctrl::seeds::policy_seed;
 use libero_ctrl::{
-    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, SpecError, Stop, Wanted,
+    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, SpecError, Stop, TaskKey, Wanted,
 };
-use libero_family::TaskKey;
 use paired::{Unit, drawn_order};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
@@ -108,7 +107,7 @@ impl NewCampaign {
     /// come before those of the next.
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
-        let mut rows = libero_family::expand(spec)?;
+        let mut rows = spec.expand()?;
         let stoppable_configurations =
             spec.stop.as_ref().map(|stop| order_randomly(&mut rows, stop));
         let budgets = rows.iter().map(|row| u64::from(row.max_steps));
@@ -129,7 +128,11 @@ impl NewCampaign {
             realisation: spec.realisation.to_string(),
             execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
-            source: spec.rollouts.source().map(CampaignName::parse).transpose()?,
+            source: spec
+                .purpose
+                .as_ref()
+                .map(|purpose| CampaignName::parse(purpose.source()))
+                .transpose()?,
             stoppable_configurations,
             record: match spec.record {
                 Record::None => "none",

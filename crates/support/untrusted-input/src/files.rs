@@ -4,7 +4,7 @@
 use std::io::{Cursor, Write};
 use std::path::Path;
 
-use libero_ctrl::{CampaignSpec, Design, manifest as manifests};
+use libero_ctrl::{CampaignSpec, Design, SuiteFile, manifest as manifests};
 use policy_backends::recording::{self, Pair};
 use policy_gateway::config as gateway;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
@@ -17,8 +17,13 @@ const SEED_ROWS: usize = 20;
 /// Extensions of files with recorded actions; an input's first byte selects one.
 const ENDINGS: [&str; 3] = [".npz", ".npy", ".jsonl"];
 
+/// Parses a manifest or a suite file, whose rows are a manifest.
 pub(crate) fn manifest(input: &[u8]) -> bool {
-    let Some(Ok(rows)) = text(input).map(manifests::parse) else {
+    let rows = |text| match SuiteFile::from_json(text) {
+        Ok(file) => Ok(file.rows()),
+        Err(_) => manifests::parse(text),
+    };
+    let Some(Ok(rows)) = text(input).map(rows) else {
         return false;
     };
     let written = manifests::to_text(&rows);
@@ -115,7 +120,11 @@ const ROWS: &str = concat!(
 
 pub(crate) fn manifest_seeds() -> Vec<Vec<u8>> {
     let rows = Design::v0_1().expand().expect("v0.1");
-    vec![manifests::to_text(rows.iter().take(SEED_ROWS)).into()]
+    let suite_file = r#"{"name":"f","folder":"d","start":"reset","prompt":"bddl","seed":1,"waits":2,
+        "budget":3,"trials":4,"suites":[{"name":"s","bddl":"*.bddl","states":"*.npz","budget":5,
+        "tasks":["a",{"name":"b","prompt":"p","view":[1,2,3,4,5],"posture":[0,0,0,0,0,0,0],
+        "noise":6}]}]}"#;
+    vec![manifests::to_text(rows.iter().take(SEED_ROWS)).into(), suite_file.into()]
 }
 
 pub(crate) fn campaign_spec_seeds() -> Vec<Vec<u8>> {
@@ -123,14 +132,9 @@ pub(crate) fn campaign_spec_seeds() -> Vec<Vec<u8>> {
         "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
         "nominal":"eval"}"#;
     let spec = CampaignSpec::from_json(short).expect("a specification");
-    let suite_file = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
-        "suite_file":{"name":"f","folder":"d","start":"reset","prompt":"bddl","seed":1,"waits":2,
-        "budget":3,"trials":4,"suites":[{"name":"s","bddl":"*.bddl","states":"*.npz","budget":5,
-        "tasks":["a",{"name":"b","prompt":"p","view":[1,2,3,4,5],"posture":[0,0,0,0,0,0,0],
-        "noise":6}]}]}}"#;
     // Has the fields that are always written: `realisation`, `replicates`, `record`.
     let written = serde_json::to_vec(&spec).expect("JSON");
-    vec![short.into(), written, suite_file.into()]
+    vec![short.into(), written]
 }
 
 pub(crate) fn result_rows_seeds() -> Vec<Vec<u8>> {

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use libero_ctrl::TaskKey;
 use libero_ctrl::{ManifestRow, RolloutId};
-use libero_family::TaskKey;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use rollout_types::AttemptId;
 use scene::FileStamps;

@@ -1,11 +1,11 @@
 //! Tests of explanations and interactions: figures, page and tables of planted rules.
 
-use libero_ctrl::{AxisSet, Condition, Explanation, Level, RolloutId, TaskRef};
+use libero_ctrl::{AxisSet, Condition, Explanation, Level, Purpose, RolloutId, TaskRef};
 use paired::{Outcome, Record, Transition};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use report::{
-    AxisInteractions, Derived, Findings, NoInteractions, Purpose, Subject, figures, page,
-    write_csv, write_parquet,
+    AxisInteractions, Derived, Findings, NoInteractions, Subject, figures, page, write_csv,
+    write_parquet,
 };
 
 use crate::assert_fits_a_terminal;

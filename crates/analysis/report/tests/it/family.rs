@@ -40,7 +40,7 @@ fn subject_of(
         origin: Origin::Campaign {
             name: "plus".to_owned(),
             endpoint: "http://127.0.0.1:1".to_owned(),
-            design: "variants-00000000".to_owned(),
+            design: "rows-00000000".to_owned(),
         },
         protocol: Some(protocol.name.to_owned()),
         records: records.collect(),
@@ -90,6 +90,16 @@ fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
     let of_cells: u64 = family.cells.iter().map(|line| line.rollouts).sum();
     assert_eq!((of_difficulties, of_cells), (3151, 3151));
     assert_eq!((family.unperturbed.rollouts, family.unperturbed.successes), (40, 20));
+}
+
+#[test]
+fn a_variant_is_paired_with_the_unperturbed_rollout_of_its_replicate() {
+    let mut subject = subject(vec![Suite::Goal], |_| Outcome::Success);
+    let failed = |record: &Record| Record { replicate: 1, outcome: Outcome::Failure, ..*record };
+    let second: Vec<Record> = subject.records.iter().map(failed).collect();
+    subject.records.extend(second);
+    let all = family(subject).all;
+    assert_eq!((all.pairs, all.broken, all.gained), (all.rollouts, 0, 0));
 }
 
 #[test]

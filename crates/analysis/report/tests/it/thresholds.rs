@@ -2,11 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::{Condition, Level, RolloutId, Thresholds};
+use libero_ctrl::{Condition, Level, Purpose, RolloutId, Thresholds};
 use paired::{Outcome, Record};
 use parquet::file::reader::{FileReader, SerializedFileReader};
 use parquet::record::RowAccessor;
-use report::{Derived, Purpose, Subject, ThresholdReport, figures, page, write_csv, write_parquet};
+use report::{Derived, Subject, ThresholdReport, figures, page, write_csv, write_parquet};
 use serde_json::Value;
 
 use crate::subjects::{document, example};

@@ -66,7 +66,7 @@ fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, S
     let mut json = serde_json::json!({
         "name": "imported",
         "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "manifest": rows,
+        "rows": rows,
     });
     if let Some(model) = model {
         json["execution"] = model.into();
@@ -75,22 +75,22 @@ fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, S
 }
 
 #[test]
-fn a_manifest_replaces_a_design() {
+fn rows_replace_a_design() {
     let rows = Design::v0_1().expand().expect("rows");
     let row = &rows[..1];
     let mut json = serde_json::json!({
         "name": "imported",
         "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "manifest": row,
+        "rows": row,
     });
     let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
-    assert_eq!(spec.rollouts, Rollouts::Manifest(row.to_vec()));
+    assert_eq!(spec.rollouts, Rollouts::Rows(row.to_vec()));
     let text = serde_json::to_string(&spec).expect("JSON");
     assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
 
     json["configs"] = serde_json::json!([0]);
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(error.to_string().contains("`configs` and `manifest`"), "{error}");
+    assert!(error.to_string().contains("`configs` and `rows`"), "{error}");
 }
 
 #[test]
@@ -208,52 +208,44 @@ fn delays_of_fractional_steps_or_with_another_execution_model_are_refused() {
 }
 
 #[test]
-fn an_explanation_replaces_a_design_and_starts_without_rows() {
-    let mut json = serde_json::json!({
-        "name": "why",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "explains": {"campaign": "first", "budget": 200},
-    });
-    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
-    assert_eq!(spec.expand(), Ok(Vec::new()));
-    assert!(spec.version().as_str().starts_with("explains-"));
-    let text = serde_json::to_string(&spec).expect("JSON");
-    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
-
-    json["realisation"] = "reference".into();
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("unmatched");
-    assert!(error.to_string().contains("write matched"), "{error}");
-    json["levels"] = serde_json::json!(["L2"]);
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(error.to_string().contains("`levels` and `explains`"), "{error}");
-}
-
-#[test]
-fn thresholds_replace_a_design_and_have_defaults() {
-    let mut json = serde_json::json!({
-        "name": "far",
-        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-        "thresholds": {"campaign": "first", "conditions": ["camera", "combination"]},
-    });
-    let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
-    assert_eq!(spec.expand(), Ok(Vec::new()));
-    assert_eq!(spec.rollouts.source(), Some("first"));
-    assert!(spec.version().as_str().starts_with("thresholds-"));
-    let text = serde_json::to_string(&spec).expect("JSON");
-    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
-    assert!(text.contains(r#""tolerance":0.5,"max_radius":16.0"#), "{text}");
-
-    let check = |field: &str, value: f64, expected: &str| {
-        let mut json = json.clone();
-        json["thresholds"][field] = value.into();
-        let error = CampaignSpec::from_json(&json.to_string()).expect_err(field);
-        assert!(error.to_string().contains(expected), "{error}");
+fn a_purpose_has_defaults_and_starts_without_rows() {
+    let json = |purpose: serde_json::Value| {
+        serde_json::json!({
+            "name": "why",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "rows": [],
+            "purpose": purpose,
+        })
     };
-    check("tolerance", 0.0, "tolerance` is 0, valid are 0.01 to 100");
-    check("max_radius", 101.0, "is 101, valid are 2 to 100");
-    json["explains"] = serde_json::json!({"campaign": "first"});
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
-    assert!(error.to_string().contains("`thresholds` and `explains`"), "{error}");
+    let explanation =
+        json(serde_json::json!({"explanation": {"campaign": "first", "budget": 200}}));
+    let thresholds = json(serde_json::json!({"thresholds": {"campaign": "first"}}));
+    for json in [&explanation, &thresholds] {
+        let spec = CampaignSpec::from_json(&json.to_string()).expect("a specification");
+        assert_eq!(spec.expand(), Ok(Vec::new()));
+        assert_eq!(spec.purpose.as_ref().map(Purpose::source), Some("first"));
+        assert!(spec.version().as_str().starts_with("purpose-"));
+        let text = serde_json::to_string(&spec).expect("JSON");
+        assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
+        let is_defaulted = text.contains(r#""tolerance":0.5,"max_radius":16.0"#);
+        assert_eq!(is_defaulted, text.contains("thresholds"), "{text}");
+    }
+    let row = crate::row_of("goal/t0/clean/i06".parse().expect("an id")).expect("a row");
+    for (path, value, expected) in [
+        ("/realisation", "reference".into(), "write matched"),
+        ("/levels", serde_json::json!(["L2"]), "`levels` and `rows`"),
+        ("/rows", serde_json::json!([row]), "write `rows` []"),
+        ("/stop", serde_json::json!({"rule": "I excludes 0"}), "two axes or more"),
+        ("/purpose/thresholds/campaign", "".into(), "`purpose.campaign` is empty"),
+        ("/purpose/thresholds/tolerance", 0.into(), "tolerance` is 0, valid are 0.01 to 100"),
+        ("/purpose/thresholds/max_radius", 101.into(), "is 101, valid are 2 to 100"),
+    ] {
+        let mut json = thresholds.clone();
+        let (parent, field) = path.rsplit_once('/').expect("a path");
+        json.pointer_mut(parent).expect("an object")[field] = value;
+        let error = CampaignSpec::from_json(&json.to_string()).expect_err(path).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
 }
 
 #[test]
@@ -262,7 +254,7 @@ fn imported_rows_are_checked_like_those_of_a_file() {
         let json = serde_json::json!({
             "name": "imported",
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "manifest": rows,
+            "rows": rows,
         });
         let error = CampaignSpec::from_json(&json.to_string()).expect_err(expected);
         assert!(error.to_string().contains(expected), "{error}");
@@ -301,47 +293,34 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
 }
 
 #[test]
-fn a_suite_file_replaces_a_design_and_forbids_replicates() {
-    let file = serde_json::json!({
-        "name": "drawers", "start": "initial-state", "prompt": "name", "seed": 0, "waits": 10,
-        "budget": 300, "trials": 2,
-        "suites": [{"name": "near", "bddl": "*.bddl", "states": "*.npz", "tasks": ["a", "b"]}],
-    });
-    let spec = |changes: &[(&str, serde_json::Value)]| {
-        let mut json = serde_json::json!({
-            "name": "demo",
-            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "suite_file": file,
-        });
-        for (field, value) in changes {
-            json[field] = value.clone();
-        }
-        CampaignSpec::from_json(&json.to_string())
-    };
-    let read = spec(&[]).expect("a specification");
-    let text = serde_json::to_string(&read).expect("JSON");
-    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), read);
-    assert_eq!(read.expand().expect("rows").len(), 4);
-    assert!(read.version().as_str().starts_with("suite-"));
+fn rows_of_a_suite_file_are_those_of_a_campaign_in_the_files_order() {
+    let file = crate::SuiteFile::from_json(
+        r#"{"name": "drawers", "start": "initial-state", "prompt": "name", "seed": 0, "waits": 10,
+            "budget": 300, "trials": 2, "suites": [
+                {"name": "near", "bddl": "*.bddl", "states": "*.npz", "tasks": ["b", "a"]},
+                {"name": "far", "bddl": "*.bddl", "states": "*.npz",
+                 "tasks": [{"name": "c", "noise": 6, "posture": [0, 0, 0, 0, 0, 0, 0]}]}]}"#,
+    );
+    let rows = file.expect("a suite file").rows();
+    let read = imported(&rows, None).expect("a specification");
+    assert_eq!(read.expand(), Ok(rows.clone()));
     let protocol = read.rollouts.protocol().expect("a protocol");
     assert!(protocol.starts_with("drawers@"), "{protocol}");
-    let mut other = file.clone();
-    other["waits"] = 2000.into();
+    let clean = crate::row_of("goal/t0/clean/i06".parse().expect("an id")).expect("a row");
+    let error = imported(&[&rows[..], &[clean]].concat(), None).expect_err("two benchmarks");
+    for part in ["goal/t0/clean/i06: no protocol, but protocol `drawers@", "in line 1: put"] {
+        assert!(error.to_string().contains(part), "{error}");
+    }
+    // A worker runs rows without their suite file, whose checks they pass too.
     for (field, value, expected) in [
-        ("tasks", serde_json::json!(["all"]), "`tasks` and `suite_file` both define the rollouts"),
-        (
-            "replicates",
-            2.into(),
-            "`replicates` beside `suite_file`: its protocol runs each rollout once; write 1",
-        ),
-        ("suite_file", other, "`waits` is 2000: write 0 to 1000"),
+        ("bddl", serde_json::json!("../c.bddl"), "`own.bddl` is `../c.bddl`: write a relative"),
+        ("changes", serde_json::json!({"noise": 51}), "`own.changes.noise` is 51: write 1 to 50"),
     ] {
-        let error = spec(&[(field, value)]).expect_err(field).to_string();
+        let mut row = serde_json::to_value(&rows[4]).expect("JSON");
+        row["own"][field] = value;
+        let error = serde_json::from_value::<ManifestRow>(row).expect_err(expected).to_string();
         assert!(error.contains(expected), "{error}");
     }
-    let rows = read.expand().expect("rows");
-    let error = imported(&rows, None).expect_err("rows of a suite file");
-    assert!(error.to_string().contains("`suite_file`: remove the row"), "{error}");
     let error = crate::row_of(rows[0].id).expect_err("a row of a suite file");
     assert!(error.to_string().contains("`worker rollout` with --suite-file"), "{error}");
 }

@@ -108,10 +108,16 @@ impl Context<'_> {
             })
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
+        let derived_campaigns = campaigns::derived_from(&mut self.tx, campaign.id).await?;
         campaigns::rename(&mut self.tx, campaign, name).await?;
-        for derived in campaigns::derived_from(&mut self.tx, campaign.id).await? {
-            let (spec, digest) =
-                self.altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str())).await?;
+        for derived in derived_campaigns {
+            let (spec, digest) = self
+                .altered_spec(&derived, |spec| {
+                    if let Some(purpose) = &mut spec.purpose {
+                        purpose.set_source(name.as_str());
+                    }
+                })
+                .await?;
             campaigns::set_spec(&mut self.tx, derived.id, &spec, &digest).await?;
         }
         Ok(())

@@ -1,11 +1,9 @@
 //! Rows that clients add to a campaign.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::mem::discriminant;
 
 use libero_ctrl::manifest::{Difference, diff};
-use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId, Rollouts};
-use libero_family::TaskKey;
+use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId, Rollouts, TaskKey};
 
 use super::campaigns::{Created, check_not_ended};
 use super::context::Context;
@@ -27,22 +25,22 @@ pub struct AppendedRow {
     pub replicates: Vec<u32>,
 }
 
-/// Rows, jobs and step budgets against which the rows added to a search are checked.
-struct Search {
+/// Rows, jobs and step budgets against which added rows are checked.
+struct Present {
     spec: CampaignSpec,
-    /// Rows that it has of the tasks of the added ones, and their jobs.
+    /// Rows that the campaign has of the tasks of the added ones, and their jobs.
     rows: BTreeMap<RolloutId, ManifestRow>,
     jobs: BTreeSet<(RolloutId, u32)>,
-    /// Step budgets of the campaign that it is compared with.
-    budgets: BTreeSet<Budget>,
+    /// Step budgets of the source of a campaign with a purpose; `None` in other campaigns.
+    budgets: Option<BTreeSet<Budget>>,
     /// Place of the first new job in the campaign's order.
     first: i64,
 }
 
 impl Queue {
-    /// Adds rows to a campaign of a manifest, or to one that explains another or measures its
-    /// thresholds: all rows, or none. Rows that the campaign has are ignored, so that a client may
-    /// send the same rows again.
+    /// Adds rows to a campaign of rows: all of them, or none. Rows that the campaign has are ignored,
+    /// so that a client may send the same rows again, and create the campaign again: its stored
+    /// specification keeps the rows of its creation.
     ///
     /// # Errors
     /// If there is no such campaign, it has ended, its rows are those of a design, or it may stop
@@ -57,31 +55,37 @@ impl Queue {
         let _guard = self.campaigns.lock().await;
         let (campaign, spec) = self.target(name).await?;
         let unspecified = |problem| QueueError::Unspecified { campaign: name.clone(), problem };
-        let mut view = self.shared.store.read().await?;
-        let Some(source) = campaigns::source(&mut view, campaign.id).await? else {
-            drop(view);
-            let larger = with_rows(spec.clone(), rows).map_err(unspecified)?;
-            let larger = NewCampaign::from_spec(&larger);
-            let larger = larger.map_err(|error| unspecified(error.to_string()))?;
-            return self.extend(campaign, spec, larger).await;
+        let Rollouts::Rows(own) = &spec.rollouts else {
+            return Err(unspecified(
+                "its rows are those of a design; extend the design, or add rows to a campaign of \
+                 rows"
+                    .to_owned(),
+            ));
         };
-        let tasks = rows.iter().map(|new| TaskKey::of_row(&new.row)).collect();
+        let added = rows.iter().map(|new| &new.row);
+        // The first row has the protocol and the execution model that all rows share.
+        let tasks = own.first().into_iter().chain(added).map(TaskKey::of_row).collect();
+        let mut view = self.shared.store.read().await?;
         let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
-        let mut search = Search {
+        let budgets = match campaigns::source(&mut view, campaign.id).await? {
+            Some(source) => Some(imported::budgets(&mut view, source.id).await?),
+            None => None,
+        };
+        drop(view);
+        let mut known = Present {
             spec,
             rows: BTreeMap::new(),
             jobs: BTreeSet::new(),
-            budgets: imported::budgets(&mut view, source.id).await?,
+            budgets,
             first: campaign.jobs,
         };
-        drop(view);
         for (row, replicate) in present {
             let row: Result<ManifestRow, _> = serde_json::from_str(&row).map_err(undecodable);
             let row = row.doing("read a campaign's manifest row")?;
-            search.jobs.insert((row.id, replicate));
-            search.rows.insert(row.id, row);
+            known.jobs.insert((row.id, replicate));
+            known.rows.insert(row.id, row);
         }
-        let jobs = on_blocking_thread(move || search.further(rows)).await;
+        let jobs = on_blocking_thread(move || known.further(rows)).await;
         self.append(campaign, jobs.map_err(unspecified)?, None).await
     }
 
@@ -97,36 +101,11 @@ impl Queue {
     ) -> Result<Created, QueueError> {
         let _guard = self.campaigns.lock().await;
         let (campaign, spec) = self.target(name).await?;
-        self.extend(campaign, spec, larger).await
-    }
-
-    /// Returns a campaign that may get further rows, and its specification.
-    async fn target(&self, name: &CampaignName) -> Result<(Campaign, CampaignSpec), QueueError> {
-        let mut view = self.view().await?;
-        let campaign = view.campaign(name).await?;
-        check_not_ended(&campaign)?;
-        if campaign.is_drawn {
-            return Err(QueueError::Unspecified {
-                campaign: name.clone(),
-                problem: "it may stop early, so that the order of its rows was drawn at its \
-                          creation; create one without `stop` to add rows to it"
-                    .to_owned(),
-            });
-        }
-        let spec = specification(&view.spec(&campaign).await?)?;
-        Ok((campaign, spec))
-    }
-
-    async fn extend(
-        &self,
-        campaign: Campaign,
-        spec: CampaignSpec,
-        larger: NewCampaign,
-    ) -> Result<Created, QueueError> {
         let larger_spec = specification(&larger.spec)?;
         let CampaignSpec { rollouts, replicates, .. } = larger_spec.clone();
-        let is_other_kind = discriminant(&spec.rollouts) != discriminant(&rollouts);
-        if is_other_kind || (CampaignSpec { rollouts, replicates, ..spec }) != larger_spec {
+        let designs = (&spec.rollouts, &rollouts);
+        let are_designs = matches!(designs, (Rollouts::Design(_), Rollouts::Design(_)));
+        if !are_designs || (CampaignSpec { rollouts, replicates, ..spec }) != larger_spec {
             let spec = self.view().await?.spec(&campaign).await?;
             let differs = differing_fields(&spec, &larger.spec);
             return Err(QueueError::CampaignDiffers { campaign: campaign.name, differs });
@@ -151,6 +130,23 @@ impl Queue {
             job.unit_order = place;
         }
         self.append(campaign, jobs, Some((larger.spec, larger.spec_digest))).await
+    }
+
+    /// Returns a campaign that may get further rows, and its specification.
+    async fn target(&self, name: &CampaignName) -> Result<(Campaign, CampaignSpec), QueueError> {
+        let mut view = self.view().await?;
+        let campaign = view.campaign(name).await?;
+        check_not_ended(&campaign)?;
+        if campaign.is_drawn {
+            return Err(QueueError::Unspecified {
+                campaign: name.clone(),
+                problem: "it may stop early, so that the order of its rows was drawn at its \
+                          creation; create one without `stop` to add rows to it"
+                    .to_owned(),
+            });
+        }
+        let spec = specification(&view.spec(&campaign).await?)?;
+        Ok((campaign, spec))
     }
 
     /// Adds jobs to a campaign, and replaces its specification if another one is given.
@@ -181,32 +177,6 @@ impl Queue {
     }
 }
 
-/// Returns the specification of a campaign of a manifest with further rows.
-fn with_rows(mut spec: CampaignSpec, further: Vec<AppendedRow>) -> Result<CampaignSpec, String> {
-    let Rollouts::Manifest(rows) = &mut spec.rollouts else {
-        return Err(
-            "its specification defines its rows; add rows to a campaign of a manifest, or \
-                    extend a design"
-                .to_owned(),
-        );
-    };
-    let mut known: BTreeMap<RolloutId, ManifestRow> =
-        rows.iter().map(|row| (row.id, row.clone())).collect();
-    for AppendedRow { row, replicates } in further {
-        if !replicates.is_empty() {
-            return Err(format!(
-                "row {} names `replicates`, but a row of a manifest runs in all of them; leave them \
-                 out",
-                row.id
-            ));
-        }
-        if is_new(&mut known, &row)? {
-            rows.push(row);
-        }
-    }
-    Ok(spec)
-}
-
 /// Adds a row to the known ones. Returns false if it is one of them.
 fn is_new(known: &mut BTreeMap<RolloutId, ManifestRow>, row: &ManifestRow) -> Result<bool, String> {
     let Some(present) = known.get(&row.id) else {
@@ -222,7 +192,7 @@ fn is_new(known: &mut BTreeMap<RolloutId, ManifestRow>, row: &ManifestRow) -> Re
     }
 }
 
-impl Search {
+impl Present {
     /// Returns the jobs to be added; or the first fault of the rows, and its remedy.
     fn further(mut self, further: Vec<AppendedRow>) -> Result<Vec<NewJob>, String> {
         let (mut rows, mut jobs) = (Vec::new(), Vec::new());
@@ -230,11 +200,20 @@ impl Search {
             let (id, run) = (row.id, row.clone().under(&self.spec.execution));
             let row = if row.execution.is_wait() { run.clone() } else { row };
             let budget = (TaskKey::of_row(&row), row.max_steps.into(), row.settle_steps.into());
-            if !self.budgets.contains(&budget) {
-                return Err(format!(
-                    "row {id} has another step budget than the rollouts that it is compared with; \
-                     use theirs"
-                ));
+            match &self.budgets {
+                Some(budgets) if !budgets.contains(&budget) => {
+                    return Err(format!(
+                        "row {id} has another step budget than the rollouts that it is compared \
+                         with; use theirs"
+                    ));
+                }
+                None if !replicates.is_empty() => {
+                    return Err(format!(
+                        "row {id} names `replicates`, but it runs in all of the campaign's; leave \
+                         them out"
+                    ));
+                }
+                _ => {}
             }
             if is_new(&mut self.rows, &row)? {
                 rows.push(row);

@@ -56,11 +56,8 @@ impl Queue {
             batches::insert(shared, new, &folder).await?;
             return Ok(report_created(shared, new));
         }
-        let source = context.source_of(new).await?;
+        context.check_source(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
-        if let Some(source) = source {
-            campaigns::set_source(&mut context.tx, id, source).await?;
-        }
         if let Some(configurations) = new.stoppable_configurations {
             stops::insert(&mut context.tx, id, configurations).await?;
         }
@@ -174,11 +171,10 @@ pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
 }
 
 impl Context<'_> {
-    /// Returns the source of a new campaign, whose results can be compared with the new ones; `None`
-    /// if it has no source.
-    async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
+    /// Refuses a campaign that has a source with whose results its own could not be compared.
+    async fn check_source(&mut self, new: &NewCampaign) -> Result<(), QueueError> {
         let Some(name) = &new.source else {
-            return Ok(None);
+            return Ok(());
         };
         let source = self.campaign_named(name).await?;
         let Campaign { policy, endpoint, execution, .. } = &source;
@@ -194,7 +190,7 @@ impl Context<'_> {
                 new.execution
             )
         } else {
-            return Ok(Some(source.id));
+            return Ok(());
         };
         let problem = format!("its source campaign `{name}` {problem}");
         Err(QueueError::Unspecified { campaign: new.name.clone(), problem })

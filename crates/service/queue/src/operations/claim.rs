@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use libero_family::TaskKey;
+use libero_ctrl::TaskKey;
 use rollout_types::{AttemptId, Pin};
 
 use super::choose::{Avoided, PendingClaim};
@@ -387,7 +387,7 @@ pub(crate) fn missing_files(first: &str, tasks: usize, who: &str) -> String {
     match TaskKey::files_of(first) {
         Some(benchmark) => format!(
             "task files that {who} lacks; run `{}` on the worker's machine",
-            libero_family::fetch_command(benchmark)
+            benchmark.fetch_command()
         ),
         None if first.contains('+') => format!(
             "task files that {who} lacks or has in another version, for task {first}{others}; the \

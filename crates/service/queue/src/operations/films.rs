@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::time::Instant;
 
 use adaptive::subsets::illustrative;
-use libero_ctrl::Rollouts;
+use libero_ctrl::Purpose;
 use paired::{Record, Records, Transition};
 use rollout_types::Pin;
 use sqlx::SqliteConnection;
@@ -62,7 +62,7 @@ async fn unfilmed_illustrations(
     rows: Vec<FilmableRow>,
 ) -> Result<Vec<JobId>, StoreError> {
     let spec = campaigns::spec(view, campaign).await?;
-    let Rollouts::Explanation(explanation) = specification(&spec)?.rollouts else {
+    let Some(Purpose::Explanation(explanation)) = specification(&spec)?.purpose else {
         return Ok(Vec::new());
     };
     let source = records(view, source).await?;

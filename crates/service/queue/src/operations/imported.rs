@@ -7,8 +7,7 @@ use std::sync::Arc;
 
 use libero_ctrl::manifest::{Difference, diff};
 use libero_ctrl::seeds::policy_seed;
-use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError};
-use libero_family::TaskKey;
+use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError, TaskKey};
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
@@ -69,8 +68,7 @@ pub enum WorkerProblem {
     Count { worker: WorkerId, column: &'static str, given: i64 },
 }
 
-/// Rows that a specification expands to, and the number of their replicates; `None` if clients add
-/// the rows, which follow from outcomes.
+/// Rows that a design expands to, and the number of their replicates; `None` if clients send rows.
 type Expansion = Option<(BTreeMap<RolloutId, ManifestRow>, u32)>;
 
 /// Checks the jobs, results and workers of a database that holds one campaign. Returns the first
@@ -112,10 +110,8 @@ pub(super) async fn contradiction(
 
 fn expand(spec: &str) -> Result<Expansion, SpecError> {
     let spec = CampaignSpec::from_json(spec)?;
-    if let Rollouts::Explanation(_) | Rollouts::Thresholds(_) = spec.rollouts {
-        return Ok(None);
-    }
-    let rows = libero_family::expand(&spec)?.into_iter().map(|row| (row.id, row));
+    let Rollouts::Design(_) = spec.rollouts else { return Ok(None) };
+    let rows = spec.expand()?.into_iter().map(|row| (row.id, row));
     Ok(Some((rows.collect(), spec.replicates)))
 }
 

@@ -220,8 +220,7 @@ impl Queue {
         if campaigns::by_name(&mut context.tx, &target.name).await?.is_some() {
             return Err(AdoptError::Exists { campaign: target.name });
         }
-        let local_source = context.local_source(&target, source).await?;
-        if let Some(source) = local_source {
+        if let Some(source) = context.local_source(&target, source).await? {
             // Dropping the context releases the writer while many rows are read. The lock on
             // `campaigns` prevents creations and deletions meanwhile, and the manifest rows of a
             // campaign never change.
@@ -239,7 +238,7 @@ impl Queue {
         context.commit().await?;
         let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
         let adopted = match moved {
-            Ok(()) => self.copy_rows(from, &target, local_source).await,
+            Ok(()) => self.copy_rows(from, &target).await,
             Err(error) => Err(error),
         };
         if adopted.is_err() {
@@ -255,12 +254,7 @@ impl Queue {
 
     /// Copies a campaign in batches, so that workers are served in between; it stays hidden until
     /// it is complete.
-    async fn copy_rows(
-        &self,
-        from: &Portable,
-        target: &CopyTarget,
-        local_source: Option<CampaignId>,
-    ) -> Result<Counts, AdoptError> {
+    async fn copy_rows(&self, from: &Portable, target: &CopyTarget) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
         let old = from.campaign.id;
         let database = from.folder().join(DATABASE_FILE);
@@ -274,7 +268,7 @@ impl Queue {
         context.cache.clear_campaigns();
         context.commit().await?;
         attached.detach().await?;
-        let copied = self.copy_jobs(from, (id, old), target, local_source).await;
+        let copied = self.copy_jobs(from, (id, old), target).await;
         if copied.is_err()
             && let Err(error) = batches::remove(shared, id, policy).await
         {
@@ -293,7 +287,6 @@ impl Queue {
         from: &Portable,
         (id, old): (CampaignId, CampaignId),
         target: &CopyTarget,
-        local_source: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
         let database = &from.folder().join(DATABASE_FILE);
@@ -315,9 +308,6 @@ impl Queue {
         campaigns::take_name(&mut context.tx, &target.name).await?;
         hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
         portable::copy_stop_and_state(&mut context.tx, (id, old)).await?;
-        if let Some(source) = local_source {
-            campaigns::set_source(&mut context.tx, id, source).await?;
-        }
         context.settles = true;
         context.cache.clear_campaigns();
         removal_marks::remove(&mut context.tx, &campaign_folder(&target.folder)).await?;
@@ -446,7 +436,7 @@ async fn copy_into(
 fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     let spec = CampaignSpec::from_json(spec).map_err(undecodable);
     let spec = spec.doing("read a campaign's specification")?;
-    let name = spec.rollouts.source().map(CampaignName::parse).transpose();
+    let name = spec.purpose.map(|purpose| CampaignName::parse(purpose.source())).transpose();
     let name = name.map_err(undecodable);
     Ok(name.doing("read the name of the source campaign")?)
 }

@@ -142,9 +142,15 @@ impl View {
         }
     }
 
-    /// Returns a campaign's specification, JSON.
+    /// Returns a campaign's specification, JSON, as it was created.
     pub async fn spec(&mut self, campaign: &Campaign) -> Result<String, StoreError> {
         campaigns::spec(self.tx(), campaign.id).await
+    }
+
+    /// Returns a campaign's specification with the rows that were added since its creation; without
+    /// those of a campaign with a purpose, which follow from outcomes.
+    pub async fn current_spec(&mut self, campaign: &Campaign) -> Result<String, StoreError> {
+        campaigns::current_spec(self.tx(), campaign.id).await
     }
 
     /// Returns a campaign's stop rule, and the point at which the campaign stopped; `None` without

@@ -103,8 +103,8 @@ macro_rules! campaigns_where {
             health!(),
             " FROM campaign c JOIN policy p ON p.id = c.policy_id
              LEFT JOIN stop s ON s.campaign_id = c.id
-             LEFT JOIN derivation d ON d.campaign_id = c.id AND c.pinned_ms IS NULL
-             JOIN campaign k ON k.id = coalesce(d.source_id, c.id) WHERE ",
+             LEFT JOIN campaign k
+                 ON k.name = iif(c.pinned_ms IS NULL, coalesce(c.source, c.name), c.name) WHERE ",
             $condition,
             " ORDER BY c.id"
         )
@@ -160,13 +160,11 @@ pub(crate) async fn source(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Option<Campaign>, StoreError> {
-    sqlx::query_as(campaigns_where!(
-        "c.id = (SELECT source_id FROM derivation WHERE campaign_id = ?)"
-    ))
-    .bind(campaign)
-    .fetch_optional(tx)
-    .await
-    .doing("find the source of a campaign")
+    sqlx::query_as(campaigns_where!("c.name = (SELECT source FROM campaign WHERE id = ?)"))
+        .bind(campaign)
+        .fetch_optional(tx)
+        .await
+        .doing("find the source of a campaign")
 }
 
 /// Returns the campaigns whose source is `source`, oldest first.
@@ -175,7 +173,8 @@ pub(crate) async fn derived_from(
     source: CampaignId,
 ) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
-        "c.id IN (SELECT campaign_id FROM derivation WHERE source_id = ?)"
+        "c.source = (SELECT name FROM campaign WHERE id = ?)
+         AND c.id NOT IN (SELECT campaign_id FROM passage)"
     ))
     .bind(source)
     .fetch_all(tx)
@@ -183,22 +182,26 @@ pub(crate) async fn derived_from(
     .doing("list the campaigns derived from a campaign")
 }
 
-/// Stores the source of a campaign.
-pub(crate) async fn set_source(
+/// Returns a campaign's specification with the rows that were added since its creation; without
+/// those of a campaign with a purpose.
+pub(crate) async fn current_spec(
     tx: &mut SqliteConnection,
-    campaign: CampaignId,
-    source: CampaignId,
-) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO derivation (campaign_id, source_id) VALUES (?, ?)")
-        .bind(campaign)
-        .bind(source)
-        .execute(tx)
-        .await
-        .doing("store the source of a campaign")
-        .map(drop)
+    id: CampaignId,
+) -> Result<String, StoreError> {
+    sqlx::query_scalar(
+        "SELECT iif(json_type(spec, '$.rows') IS NULL OR json_type(spec, '$.purpose') = 'object',
+             spec, json_set(spec, '$.rows', (SELECT json_group_array(json(manifest_row)) FROM (
+                 SELECT manifest_row FROM job WHERE campaign_id = c.id AND replicate = 0
+                 ORDER BY unit_order))))
+         FROM campaign c WHERE id = ?",
+    )
+    .bind(id)
+    .fetch_one(tx)
+    .await
+    .doing("read a campaign's specification and rows")
 }
 
-/// Returns a campaign's specification, JSON.
+/// Returns a campaign's specification, JSON, as it was created.
 pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<String, StoreError> {
     sqlx::query_scalar("SELECT spec FROM campaign WHERE id = ?")
         .bind(id)

@@ -55,11 +55,11 @@ pub(crate) async fn filmed_campaigns(
     pin: &Pin,
 ) -> Result<Vec<FilmedCampaign>, StoreError> {
     sqlx::query_as(
-        "SELECT c.id AS campaign, c.name, own.revision, d.source_id AS source,
+        "SELECT c.id AS campaign, c.name, own.revision, s.id AS source,
              its.revision AS source_revision
          FROM campaign c JOIN tally own ON own.campaign_id = c.id
-         LEFT JOIN derivation d ON d.campaign_id = c.id
-         LEFT JOIN tally its ON its.campaign_id = d.source_id
+         LEFT JOIN campaign s ON s.name = c.source
+         LEFT JOIN tally its ON its.campaign_id = s.id
          WHERE c.id NOT IN (SELECT campaign_id FROM passage) AND c.record = 'transitions'
              AND c.asset_pack_digest = ? AND c.mujoco_version = ? AND c.look = ?
          ORDER BY c.id",

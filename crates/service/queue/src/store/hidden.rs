@@ -15,9 +15,8 @@ const HIDE: [&str; 2] = [
 ];
 
 /// Statements that remove the remaining visible traces of a campaign that is being deleted.
-const REMOVE_TRACES: [&str; 4] = [
+const REMOVE_TRACES: [&str; 3] = [
     "UPDATE campaign SET state = 'cancelled' WHERE id = ?1",
-    "DELETE FROM derivation WHERE campaign_id = ?1",
     "DELETE FROM stop WHERE campaign_id = ?1",
     "DELETE FROM former_name WHERE campaign_id = ?1",
 ];

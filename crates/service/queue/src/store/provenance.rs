@@ -41,7 +41,8 @@ pub(crate) async fn of_suite(
          JOIN provenance v ON v.id = r.provenance_id
          JOIN job j ON j.id = r.job_id
          WHERE r.campaign_id IN
-                 (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
+                 (SELECT ?1 UNION SELECT s.id FROM campaign c JOIN campaign s ON s.name = c.source
+                     WHERE c.id = ?1)
              AND j.task GLOB ?2 || '/*'
          LIMIT 1",
     ))

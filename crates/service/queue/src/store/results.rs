@@ -140,7 +140,8 @@ pub(crate) async fn siblings(
          JOIN result r ON r.job_id = j.id
          JOIN provenance v ON v.id = r.provenance_id
          WHERE j.campaign_id IN
-                 (SELECT ?1 UNION SELECT source_id FROM derivation WHERE campaign_id = ?1)
+                 (SELECT ?1 UNION SELECT s.id FROM campaign c JOIN campaign s ON s.name = c.source
+                     WHERE c.id = ?1)
              AND j.task = ?2 AND j.init_id = ?3 AND j.state = 'committed'
          GROUP BY j.rollout_id, r.first_frame_digest = '', v.renderer, v.fingerprint,
              v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
