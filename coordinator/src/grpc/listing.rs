@@ -92,20 +92,20 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
     };
     let result = |line: ResultLine| wire::ResultOrigin {
         goal: Some(wire::GoalProgress {
-            predicates: line.goal_predicates,
-            at_end: line.goal_at_end,
-            at_most: line.goal_at_most,
+            predicates: line.outcome.goal.predicates,
+            at_end: line.outcome.goal.at_end,
+            at_most: line.outcome.goal.at_most,
         }),
         attempt: line.number.0,
         worker_id: line.worker_id.0,
         ago_secs: now.since(line.committed_ms).as_secs_f64(),
-        wall_secs: line.wall_secs,
+        wall_secs: line.outcome.wall_secs,
         host: line.provenance.host,
         look: line.provenance.pin.look.to_string(),
         renderer: line.provenance.pin.renderer,
         divergences: line.divergences,
         video: line.video.unwrap_or_default(),
-        prompt: line.prompt.unwrap_or_default(),
+        prompt: line.outcome.prompt.unwrap_or_default(),
         committed_unix_ms: line.committed_ms.0,
     };
     wire::GetJobResponse {

@@ -138,7 +138,7 @@ pub struct Setups {
 }
 
 /// Counts of executed actions with a component outside [-1, 1].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BeyondRange {
     /// Actions beyond the range.
     pub actions: u64,

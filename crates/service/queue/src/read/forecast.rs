@@ -67,11 +67,13 @@ impl View {
                  substr(j.task, 1, instr(j.task, '/') - 1) AS suite,
                  coalesce(w.slots <= w.cores, 0) AS is_roomy,
                  count(*) AS results, avg(r.wall_secs) AS secs,
-                 avg(r.physics_secs) AS physics_secs, avg(r.drawing_secs) AS drawing_secs,
-                 avg(r.policy_secs) AS policy_secs,
-                 avg(max(0.0, r.wall_secs
-                     - r.physics_secs - r.drawing_secs - r.policy_secs)) AS waiting_secs,
-                 avg(r.policy_queries) AS queries
+                 avg(r.outcome ->> '$.parts.physics_secs') AS physics_secs,
+                 avg(r.outcome ->> '$.parts.drawing_secs') AS drawing_secs,
+                 avg(r.outcome ->> '$.parts.policy_secs') AS policy_secs,
+                 avg(max(0.0, r.wall_secs - (r.outcome ->> '$.parts.physics_secs')
+                     - (r.outcome ->> '$.parts.drawing_secs')
+                     - (r.outcome ->> '$.parts.policy_secs'))) AS waiting_secs,
+                 avg(r.outcome ->> '$.policy_queries') AS queries
              FROM campaign c JOIN policy p ON p.id = c.policy_id
              JOIN result r ON r.job_id IN
                  (SELECT job_id FROM result WHERE campaign_id = c.id AND committed_ms >= ?1
