@@ -105,7 +105,7 @@ pub(super) fn details(details: JobDetails, now: UnixMillis) -> wire::GetJobRespo
         renderer: line.provenance.pin.renderer,
         divergences: line.divergences,
         video: line.video.unwrap_or_default(),
-        prompt: line.outcome.prompt.unwrap_or_default(),
+        prompt: line.outcome.0.prompt.unwrap_or_default(),
         committed_unix_ms: line.committed_ms.0,
     };
     wire::GetJobResponse {

@@ -96,7 +96,7 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
         let field = shortened(field, MAX_ROLLOUT_ID_BYTES).to_owned();
         invalid(format!("read `measurement` after `{field}`: {}", json_problem(error)))
     };
-    let Measurement { result, provenance } = serde_json::from_str(text).map_err(unreadable)?;
+    let Measurement { result, provenance } = Measurement::from_json(text).map_err(unreadable)?;
     let provenance = serde_json::to_value(provenance).map(printable_texts);
     let provenance: Provenance = provenance.and_then(serde_json::from_value).map_err(unreadable)?;
     if let Some(problem) = result.problem().or_else(|| provenance.problem()) {

@@ -6,7 +6,6 @@ use std::path::{Path, PathBuf};
 
 use futures_util::TryStreamExt;
 use rollout_types::{Provenance, RolloutResult};
-use serde::de::DeserializeOwned;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
@@ -331,9 +330,6 @@ pub(crate) async fn violations(
 
 /// Describes the outcomes and origins that no worker can have reported.
 async fn unreadable(view: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
-    fn problem<T: DeserializeOwned>(json: &str, of: fn(&T) -> Option<String>) -> Option<String> {
-        serde_json::from_str(json).map_or_else(|error| Some(json_problem(error)), |read| of(&read))
-    }
     let stored = sqlx::query_as(
         "SELECT 'the result of job ' || job_id, outcome, 1 FROM result
          UNION ALL SELECT format('divergence %d of job %d', id, job_id), outcome, 1 FROM divergence
@@ -342,9 +338,10 @@ async fn unreadable(view: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Er
     let described = stored.fetch(view).try_filter_map(async |row: (String, String, bool)| {
         let (name, json, is_outcome) = row;
         let problem = match is_outcome {
-            true => problem(&json, RolloutResult::problem),
-            false => problem(&json, Provenance::problem),
+            true => RolloutResult::from_json(&json).map(|read| read.problem()),
+            false => serde_json::from_str(&json).map(|read: Provenance| read.problem()),
         };
+        let problem = problem.unwrap_or_else(|error| Some(json_problem(error)));
         Ok(problem.map(|problem| format!("{name}: {problem}")))
     });
     described.try_collect().await

@@ -50,7 +50,19 @@ pub struct RolloutResult {
     pub realised: Realised,
 }
 
+impl Measurement {
+    /// Reads JSON; the parser is compiled here, where the development build is optimised too.
+    pub fn from_json(json: &str) -> serde_json::Result<Measurement> {
+        serde_json::from_str(json)
+    }
+}
+
 impl RolloutResult {
+    /// Reads JSON, like [`Measurement::from_json`].
+    pub fn from_json(json: &str) -> serde_json::Result<RolloutResult> {
+        serde_json::from_str(json)
+    }
+
     /// Describes the first field with a value that no worker measures; `None` if there is none.
     pub fn problem(&self) -> Option<String> {
         let Parts { physics_secs, drawing_secs, policy_secs } = self.parts;

@@ -1,11 +1,12 @@
 //! Rollouts of a configuration for comparison.
 
-use rollout_types::{AttemptId, Motion, Provenance, RolloutResult};
+use rollout_types::{AttemptId, Motion, Provenance};
 use sqlx::types::Text;
 
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
+use crate::store::results::StoredResult;
 use crate::store::{Doing, StoreError, json};
 
 /// One rollout of a configuration with the state of its job.
@@ -42,8 +43,7 @@ pub struct ResultLine {
     /// Worker that ran the attempt.
     pub worker_id: WorkerId,
     pub committed_ms: UnixMillis,
-    #[sqlx(json)]
-    pub outcome: RolloutResult,
+    pub outcome: StoredResult,
     /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
     /// Path of the rollout's video below the data folder.

@@ -1,13 +1,14 @@
 //! Results of a campaign for reports and exports.
 
 use futures_util::TryStreamExt;
-use rollout_types::{Digests, Fingerprints, Provenance, RolloutResult};
+use rollout_types::{Digests, Fingerprints, Provenance};
 use sqlx::types::Json;
 
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::CampaignId;
 use crate::store::outcomes::OutcomeRow;
+use crate::store::results::StoredResult;
 use crate::store::{Doing, StoreError};
 
 /// State that a campaign's report depends on: equal editions have equal reports.
@@ -32,8 +33,7 @@ pub struct ExportedRow {
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    #[sqlx(json)]
-    pub outcome: RolloutResult,
+    pub outcome: StoredResult,
 }
 
 /// A job for reports.
@@ -44,8 +44,7 @@ pub struct RecordRow {
     /// Realisation, as [`libero_ctrl::Realisation`] names it, once the job is committed.
     pub realisation: Option<String>,
     /// Result, once the job is committed.
-    #[sqlx(json(nullable))]
-    pub outcome: Option<RolloutResult>,
+    pub outcome: Option<StoredResult>,
 }
 
 /// Manifest row and scene of a rollout.

@@ -1,11 +1,14 @@
 //! Statements on `result`, `motion` and `divergence`: results and the siblings that they are
 //! compared with.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
 use rollout_types::{AttemptId, Motion, Provenance, RolloutResult};
+use sqlx::error::BoxDynError;
+use sqlx::sqlite::{SqliteTypeInfo, SqliteValueRef};
 use sqlx::types::Json;
-use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+use sqlx::{Decode, QueryBuilder, Sqlite, SqliteConnection, Type};
 
 use super::jobs::InitialState;
 use super::provenance::ProvenanceId;
@@ -25,6 +28,30 @@ pub(crate) struct NewResult<'a> {
     pub(crate) result: &'a RolloutResult,
     pub(crate) origin: ProvenanceId,
     pub(crate) motion: &'a Motion,
+}
+
+/// A result, as decoded from its JSON.
+#[derive(Clone, Debug)]
+pub struct StoredResult(pub RolloutResult);
+
+impl Deref for StoredResult {
+    type Target = RolloutResult;
+
+    fn deref(&self) -> &RolloutResult {
+        &self.0
+    }
+}
+
+impl Type<Sqlite> for StoredResult {
+    fn type_info() -> SqliteTypeInfo {
+        <str as Type<Sqlite>>::type_info()
+    }
+}
+
+impl<'r> Decode<'r, Sqlite> for StoredResult {
+    fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
+        Ok(StoredResult(RolloutResult::from_json(<&str as Decode<Sqlite>>::decode(value)?)?))
+    }
 }
 
 /// Stores results. The caller marks their jobs as committed later in the same transaction.
@@ -95,7 +122,7 @@ pub(crate) async fn siblings(
     state: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
     // With a single min(), SQLite takes the other columns from the same row.
-    type Row = (i64, String, WorkerId, Json<RolloutResult>, Json<Provenance>);
+    type Row = (i64, String, WorkerId, StoredResult, Json<Provenance>);
     let rows: Vec<Row> = sqlx::query_as(
         "SELECT min(j.id), j.rollout_id, r.worker_id, r.outcome, v.origin FROM job j
          JOIN result r ON r.job_id = j.id
@@ -113,7 +140,7 @@ pub(crate) async fn siblings(
     .fetch_all(tx)
     .await
     .doing("find a configuration's siblings")?;
-    let sibling = |(_, rollout, worker, Json(result), origin): Row| {
+    let sibling = |(_, rollout, worker, StoredResult(result), origin): Row| {
         Ok(Sibling {
             rollout: rollout.parse().map_err(undecodable)?,
             worker,
