@@ -529,22 +529,14 @@ pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
 /// element, so that both realisation modes give the same values.
 fn realised(row: &Value) -> Realised {
     let mut realised = Realised::default();
-    let mut add = |axis: Axis, values: &Value| {
-        let values = values.as_object().expect("parameters").values();
-        let parameters = values.map(|value| value.as_f64().expect("a number")).collect();
-        realised.add(axis, parameters, vec![0.5]);
-    };
-    let (condition, parameters) = (row["axis"].as_str().expect("a condition"), &row["perturb"]);
-    match condition.parse() {
-        Ok(axis) if Axis::METRIC.contains(&axis) => add(axis, parameters),
-        Ok(_) => {}
-        Err(_) => {
-            for axis in Axis::METRIC {
-                if let Some(values) = parameters.get(axis.name()) {
-                    add(axis, values);
-                }
-            }
-        }
+    for axis in Axis::METRIC {
+        let values = match row["axis"] == axis.name() {
+            true => Some(&row["perturb"]),
+            false => row["perturb"].get(axis.name()),
+        };
+        let Some(values) = values.and_then(Value::as_object) else { continue };
+        let parameters = values.values().map(|value| value.as_f64().expect("a number"));
+        realised.add(axis, parameters.collect(), vec![0.5]);
     }
     realised
 }
