@@ -295,31 +295,21 @@ CREATE INDEX failure_cut_off ON failure (job_id) WHERE ceiling_ms IS NOT NULL;
 
 -- Results
 
--- The part of a result's origin that many results share.
+-- The part of a result's origin that many results share: the JSON of rollout_types::Provenance. The
+-- generated columns are those that statements read.
 CREATE TABLE provenance (
     id               INTEGER PRIMARY KEY,
-    host             TEXT    NOT NULL,
-    renderer         TEXT    NOT NULL,
-    look             TEXT    NOT NULL,
+    origin           TEXT    NOT NULL UNIQUE,
+    renderer         TEXT    NOT NULL AS (origin ->> 'renderer') VIRTUAL,
+    look             TEXT    NOT NULL AS (origin ->> 'look') VIRTUAL,
     -- Digest of a fixed motion and its frames: equal fingerprints mean equal bits.
-    fingerprint      TEXT    NOT NULL CHECK (length(fingerprint) = 64),
-    mujoco_version   TEXT    NOT NULL,
-    asset_pack       TEXT    NOT NULL,
-    asset_pack_digest TEXT   NOT NULL,
-    realisation      TEXT    NOT NULL CHECK (realisation IN ('matched', 'reference')),
-    policy_name      TEXT    NOT NULL,
-    policy_checkpoint TEXT   NOT NULL,
-    policy_checkpoint_digest TEXT NOT NULL,
-    policy_privileged INTEGER NOT NULL CHECK (policy_privileged IN (0, 1)),
-    policy_canonical_only INTEGER NOT NULL CHECK (policy_canonical_only IN (0, 1)),
-    -- What the policy's server resolved: {"executed": "8", ...}.
-    policy_settings  TEXT    NOT NULL CHECK (json_type(policy_settings) = 'object'),
-    batch_mode       TEXT    NOT NULL,
-    program_version  TEXT    NOT NULL,
-    UNIQUE (host, renderer, look, fingerprint, mujoco_version, asset_pack, asset_pack_digest,
-            realisation, policy_name, policy_checkpoint, policy_checkpoint_digest,
-            policy_privileged, policy_canonical_only, policy_settings, batch_mode,
-            program_version)
+    fingerprint      TEXT    NOT NULL AS (origin ->> 'fingerprint') VIRTUAL,
+    mujoco_version   TEXT    NOT NULL AS (origin ->> 'mujoco_version') VIRTUAL,
+    asset_pack_digest TEXT   NOT NULL AS (origin ->> 'asset_pack_digest') VIRTUAL,
+    realisation      TEXT    NOT NULL AS (origin ->> 'realisation') VIRTUAL,
+    policy_name      TEXT    NOT NULL AS (origin ->> 'policy_name') VIRTUAL,
+    policy_checkpoint TEXT   NOT NULL AS (origin ->> 'policy_checkpoint') VIRTUAL,
+    policy_checkpoint_digest TEXT NOT NULL AS (origin ->> 'policy_checkpoint_digest') VIRTUAL
 ) STRICT;
 
 -- The outcome of a committed job: one, for ever.
@@ -330,38 +320,13 @@ CREATE TABLE result (
     attempt          INTEGER NOT NULL CHECK (attempt > 0),
     worker_id        TEXT    NOT NULL REFERENCES worker (id),
     committed_ms     INTEGER NOT NULL,
-    success          INTEGER NOT NULL CHECK (success IN (0, 1)),
-    steps            INTEGER NOT NULL CHECK (steps >= 0),
-    wall_secs        REAL    NOT NULL CHECK (wall_secs >= 0),
-    -- Processor time of the slot: loading, settling and control steps.
-    physics_secs     REAL    NOT NULL CHECK (physics_secs >= 0),
-    -- Processor time of rendering the policy's observations.
-    drawing_secs     REAL    NOT NULL CHECK (drawing_secs >= 0),
-    -- Wall time of the calls to the policy.
-    policy_secs      REAL    NOT NULL CHECK (policy_secs >= 0),
-    -- Predicates of the goal.
-    goal_predicates  INTEGER NOT NULL CHECK (goal_predicates > 0),
-    -- Those that held after the last control step: all of them in a success.
-    goal_at_end      INTEGER NOT NULL CHECK (goal_at_end BETWEEN 0 AND goal_predicates
-                         AND (goal_at_end = goal_predicates) = success),
-    -- The most that held together, from rest to the last control step.
-    goal_at_most     INTEGER NOT NULL
-                     CHECK (goal_at_most BETWEEN goal_at_end AND goal_predicates),
-    ik_residual_mm   REAL,
-    ik_residual_deg  REAL,
-    ik_clamped_joints INTEGER,
-    clipped_actions  INTEGER NOT NULL CHECK (clipped_actions >= 0),
-    policy_queries   INTEGER NOT NULL CHECK (policy_queries >= 0),
-    -- The prompt that the policy got: a worker takes it from a task file if the manifest row has
-    -- none.
-    prompt           TEXT    CHECK (prompt <> ''),
     provenance_id    INTEGER NOT NULL REFERENCES provenance (id),
-    scene_digest     TEXT    NOT NULL CHECK (length(scene_digest) = 64),
-    init_state_digest TEXT   NOT NULL CHECK (length(init_state_digest) = 64),
-    -- Empty if the policy uses no frames.
-    first_frame_digest TEXT  NOT NULL CHECK (length(first_frame_digest) IN (0, 64)),
-    -- The perturbation as realised, by axis: {"camera": {"parameters": [...], "elements": [...]}}.
-    realised         TEXT    NOT NULL CHECK (json_type(realised) = 'object')
+    -- The JSON of rollout_types::RolloutResult, which checks its bounds. The generated columns are
+    -- those that statements read of many results.
+    outcome          TEXT    NOT NULL,
+    success          INTEGER NOT NULL AS (outcome ->> 'success') STORED CHECK (success IN (0, 1)),
+    steps            INTEGER NOT NULL AS (outcome ->> 'steps') STORED CHECK (steps >= 0),
+    wall_secs        REAL    NOT NULL AS (outcome ->> 'wall_secs') STORED CHECK (wall_secs >= 0)
 ) STRICT;
 
 CREATE INDEX result_by_time ON result (campaign_id, committed_ms, success);
@@ -406,10 +371,11 @@ CREATE TABLE divergence (
     attempt          INTEGER NOT NULL CHECK (attempt > 0),
     worker_id        TEXT    NOT NULL,
     reported_ms      INTEGER NOT NULL,
-    success          INTEGER NOT NULL CHECK (success IN (0, 1)),
-    steps            INTEGER NOT NULL CHECK (steps >= 0),
-    wall_secs        REAL    NOT NULL CHECK (wall_secs >= 0),
     provenance_id    INTEGER NOT NULL REFERENCES provenance (id),
+    -- As in `result`.
+    outcome          TEXT    NOT NULL,
+    success          INTEGER NOT NULL AS (outcome ->> 'success') STORED CHECK (success IN (0, 1)),
+    steps            INTEGER NOT NULL AS (outcome ->> 'steps') STORED CHECK (steps >= 0),
     UNIQUE (job_id, attempt, worker_id, success, steps)
 ) STRICT;
 

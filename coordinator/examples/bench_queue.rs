@@ -20,7 +20,7 @@ use queue::{
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use rollout_types::{
-    Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
 };
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -378,33 +378,36 @@ fn outcome(
         attempt: job.attempt,
         // A path of 220 control steps, 11 s: 6 bytes at rest and after every step.
         motion: Motion { path: vec![1; 6 * 221], actions: Vec::new() },
-        realised,
-        result: RolloutResult {
-            success,
-            steps: rng.next_u32() % 220,
-            wall_secs: 1.0,
-            ik: None,
-            clipped_actions: 0,
-            policy_queries: 100,
-            parts: Parts::default(),
-            goal: GoalProgress { predicates: 1, at_end: success.into(), at_most: success.into() },
-            prompt: None,
-        },
-        provenance: Provenance {
-            // Each worker counts as a machine.
-            host: worker.0.clone(),
-            pin: pin(),
-            fingerprint: digest("fingerprint"),
-            realisation: job.realisation.clone(),
-            policy_name: job.policy.clone(),
-            policy_settings: [("execute".to_owned(), "8".to_owned())].into(),
-            program_version: env!("CARGO_PKG_VERSION").to_owned(),
-            ..Provenance::default()
-        },
-        digests: Digests {
-            scene: digest(&task.to_string()),
-            init_state: digest(&format!("{task}/{}", row.init_id)),
-            first_frame: String::new(),
+        measurement: Measurement {
+            result: RolloutResult {
+                success,
+                steps: rng.next_u32() % 220,
+                wall_secs: 1.0,
+                policy_queries: 100,
+                goal: GoalProgress {
+                    predicates: 1,
+                    at_end: success.into(),
+                    at_most: success.into(),
+                },
+                digests: Digests {
+                    scene: digest(&task.to_string()),
+                    init_state: digest(&format!("{task}/{}", row.init_id)),
+                    first_frame: String::new(),
+                },
+                realised,
+                ..RolloutResult::default()
+            },
+            provenance: Provenance {
+                // Each worker counts as a machine.
+                host: worker.0.clone(),
+                pin: pin(),
+                fingerprint: digest("fingerprint"),
+                realisation: job.realisation.clone(),
+                policy_name: job.policy.clone(),
+                policy_settings: [("execute".to_owned(), "8".to_owned())].into(),
+                program_version: env!("CARGO_PKG_VERSION").to_owned(),
+                ..Provenance::default()
+            },
         },
     }
 }

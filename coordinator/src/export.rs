@@ -81,11 +81,11 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         source: error.into(),
     };
     let row: ManifestRow = serde_json::from_str(&result.manifest_row).map_err(row_error)?;
-    let task = row.id.task();
+    let (task, outcome) = (row.id.task(), &result.outcome);
     serde_json::to_string(&ExportRow {
         rollout_id: row.id,
-        success: result.success,
-        steps: result.steps,
+        success: outcome.success,
+        steps: outcome.steps,
         axis: row.id.condition(),
         level: row.id.level(),
         suite: task.suite(),
@@ -93,17 +93,17 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         init_id: row.init_id,
         config: row.id.config(),
         policy,
-        wall_s: result.wall_secs,
-        ik_res_mm: result.ik_residual_mm,
+        wall_s: outcome.wall_secs,
+        ik_res_mm: outcome.ik.map(|ik| ik.residual_mm),
         replicate: result.replicate,
         placebo_radius: row.placebo_radius.map(Level::radius),
         execution: row.execution,
         protocol: row.protocol,
-        goal_predicates: result.goal_predicates,
-        goal_at_end: result.goal_at_end,
-        goal_at_most: result.goal_at_most,
+        goal_predicates: outcome.goal.predicates,
+        goal_at_end: outcome.goal.at_end,
+        goal_at_most: outcome.goal.at_most,
         // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
-        prompt: result.prompt.as_deref().filter(|_| row.id.variant().is_some()),
+        prompt: outcome.prompt.as_deref().filter(|_| row.id.variant().is_some()),
     })
     .map_err(row_error)
 }

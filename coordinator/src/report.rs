@@ -11,6 +11,7 @@ use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
     BeyondRange, Derived, EarlyStop, Origin, Quarantined, Setups, Subject, counted, rollout_name,
 };
+use rollout_types::Digests;
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -23,18 +24,23 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
     let spec = CampaignSpec::from_json(&spec)
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     let realisation = campaign.realisation.as_str();
-    let rows = view.records(campaign.id).await?;
-    let records: Result<Vec<Record>, _> =
-        rows.iter().map(|row| read_record(row, realisation)).collect();
-    let records = records?;
-    let progress = rows.iter().zip(&records);
-    let progress = progress.filter(|(_, record)| record.outcome.success().is_some());
-    let progress = progress.map(|(row, record)| Progress {
-        id: record.id,
-        replicate: record.replicate,
-        steps: row.steps,
-        goal: row.goal(),
+    let (mut progress, mut left_out, mut beyond) = (Vec::new(), 0, BeyondRange::default());
+    let records = view.records(campaign.id, |row| {
+        let record = read_record(&row, realisation)?;
+        left_out += u64::from(is_of_other_mode(&row, realisation));
+        if let Some(result) = row.outcome {
+            beyond.actions += u64::from(result.clipped_actions);
+            beyond.of_actions += u64::from(result.steps);
+            beyond.rollouts += u64::from(result.clipped_actions > 0);
+            if record.outcome.success().is_some() {
+                let Record { id, replicate, .. } = record;
+                let (steps, goal) = (Some(result.steps), Some(result.goal));
+                progress.push(Progress { id, replicate, steps, goal });
+            }
+        }
+        Ok::<_, UnknownName>(record)
     });
+    let records = records.await?.into_iter().collect::<Result<Vec<Record>, _>>()?;
     let design = match &spec.rollouts {
         Rollouts::Design(design) => Some(design),
         _ => None,
@@ -55,7 +61,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         realisation: Some(realisation.parse()?),
         look: None,
         execution: spec.execution.clone(),
-        progress: progress.collect(),
+        progress,
         placebo_radius: placebo.map(|design| design.placebo.radius.radius()),
         directions: design.map_or_else(Directions::default, |design| design.directions),
         records,
@@ -66,9 +72,9 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             })
             .collect(),
         divergent: divergent.iter().map(|(id, replicate)| rollout_name(id, *replicate)).collect(),
-        left_out: rows.iter().filter(|row| is_of_other_mode(row, realisation)).count() as u64,
+        left_out,
         provenances,
-        beyond: Some(beyond_range(view, campaign).await?),
+        beyond: Some(beyond),
         fingerprints: view.fingerprints(campaign.id).await?,
         published_nominal: None,
         published_by_suite: Vec::new(),
@@ -92,9 +98,8 @@ async fn derived(
         return Ok(None);
     };
     let realisation = source.realisation.as_str();
-    let rows = view.records(source.id).await?;
-    let records: Result<Vec<Record>, _> =
-        rows.iter().map(|row| read_record(row, realisation)).collect();
+    let records = view.records(source.id, |row| read_record(&row, realisation)).await?;
+    let records: Result<Vec<Record>, _> = records.into_iter().collect();
     let early_stop = early_stop(view, &source).await?;
     Ok(Some(Derived { purpose, records: counted(&records?, early_stop.as_ref()).into_owned() }))
 }
@@ -106,22 +111,12 @@ async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<Early
     Ok(early.map(|early| EarlyStop { stop: early.stop, has_stopped: early.used.is_some() }))
 }
 
-/// Counts the executed actions with a component outside [-1, 1].
-async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRange, ReadError> {
-    let (actions, of_actions, rollouts) = view.clipped_actions(campaign.id).await?;
-    Ok(BeyondRange {
-        actions: actions.unsigned_abs(),
-        of_actions: of_actions.unsigned_abs(),
-        rollouts: rollouts.unsigned_abs(),
-    })
-}
-
 /// Returns digests of the setups of a campaign's rollouts. Rollouts of the same id in two campaigns
 /// are comparable if their digests are equal.
 pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
     let mut setups = Setups::default();
     for row in view.setups(campaign.id).await? {
-        let SetupRow { rollout_id, manifest_row, scene_digest, init_state_digest } = row;
+        let SetupRow { rollout_id, manifest_row, digests } = row;
         let unreadable = |rollout_id: String| {
             |error: serde_json::Error| ReadError::Row { rollout_id, source: error.into() }
         };
@@ -132,8 +127,8 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
             None => RolloutId::clean(row.id.task(), row.init_id),
             Some(_) => row.id,
         };
-        if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
-            setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
+        if let Some(Digests { scene, init_state, .. }) = digests {
+            setups.scenes.insert(state, digest(&[&scene, &init_state]));
         }
         // The digest leaves out `init_slot`, the place of the initial state in the design, and the
         // paraphrase's name, which the policy never observes, and the execution model, which a

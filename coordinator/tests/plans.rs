@@ -19,7 +19,7 @@ use queue::{
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rollout_types::{
-    AttemptId, Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
 };
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
@@ -141,32 +141,30 @@ fn report(attempt: AttemptId) -> CommitReport {
     CommitReport {
         attempt,
         motion: Motion::default(),
-        realised: Realised::default(),
-        result: RolloutResult {
-            success: true,
-            steps: 9,
-            wall_secs: 1.0,
-            ik: None,
-            clipped_actions: 0,
-            policy_queries: 1,
-            parts: Parts::default(),
-            goal: GoalProgress { predicates: 1, at_end: 1, at_most: 1 },
-            prompt: None,
-        },
-        provenance: Provenance {
-            host: "here".to_owned(),
-            pin: pin(),
-            fingerprint: digest('d'),
-            realisation: "matched".to_owned(),
-            policy_name: "expert".to_owned(),
-            policy_privileged: true,
-            program_version: "0.1.0".to_owned(),
-            ..Provenance::default()
-        },
-        digests: Digests {
-            scene: digest('b'),
-            init_state: digest('c'),
-            first_frame: String::new(),
+        measurement: Measurement {
+            result: RolloutResult {
+                success: true,
+                steps: 9,
+                wall_secs: 1.0,
+                policy_queries: 1,
+                goal: GoalProgress { predicates: 1, at_end: 1, at_most: 1 },
+                digests: Digests {
+                    scene: digest('b'),
+                    init_state: digest('c'),
+                    first_frame: String::new(),
+                },
+                ..RolloutResult::default()
+            },
+            provenance: Provenance {
+                host: "here".to_owned(),
+                pin: pin(),
+                fingerprint: digest('d'),
+                realisation: "matched".to_owned(),
+                policy_name: "expert".to_owned(),
+                policy_privileged: true,
+                program_version: "0.1.0".to_owned(),
+                ..Provenance::default()
+            },
         },
     }
 }
@@ -196,7 +194,7 @@ async fn call_everything(queue: &Queue, clock: &ManualClock) {
         queue.commit(&report(attempt)).await.expect("a verdict");
     }
     let mut divergent = report(leases[0]);
-    divergent.result.success = false;
+    divergent.measurement.result.success = false;
     let reply = queue.commit(&divergent).await.expect("a verdict");
     assert_eq!(reply.verdict, CommitVerdict::Divergent);
     for (attempt, reason) in

@@ -48,13 +48,13 @@ pub mod coordinator {
 /// Version of [`policy`], exchanged on `Describe`.
 pub const PROTOCOL_VERSION: u32 = 1;
 /// Version of [`coordinator`], exchanged on `Register`; a worker of another version is refused.
-pub const COORDINATOR_PROTOCOL_VERSION: u32 = 7;
+pub const COORDINATOR_PROTOCOL_VERSION: u32 = 8;
 /// Largest number of control steps for which a motion is sent: ten times LIBERO's longest rollout.
 /// The outcome of a longer rollout is sent without its motion.
 pub const MAX_MOTION_STEPS: usize = 5_200;
 /// Most settings of a policy's description.
 pub const MAX_SETTINGS: usize = 64;
-/// Longest text of a description or a result, such as a name or a digest, bytes.
+/// Longest text of a description, such as a name or a digest, bytes.
 pub const MAX_TEXT_BYTES: usize = 512;
 /// Longest name of a setting, bytes.
 pub const MAX_SETTING_NAME_BYTES: usize = 64;

@@ -18,7 +18,6 @@ fn the_generated_code_is_that_of_the_proto_files() {
         .compile_fds(compiled("rollout/policy/v1/policy.proto"))
         .unwrap();
     tonic_prost_build::configure()
-        .btree_map(".rollout.coordinator.v1.Provenance")
         .out_dir(out.path())
         .compile_fds(compiled("rollout/coordinator/v1/coordinator.proto"))
         .unwrap();

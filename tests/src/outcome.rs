@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
+use rollout_types::{Digests, RolloutResult};
 use serde_json::Value;
 use sqlx::Connection;
 
@@ -20,6 +21,18 @@ pub struct Outcome {
     pub prompt: String,
 }
 
+impl Outcome {
+    fn of(result: RolloutResult) -> Outcome {
+        let Digests { scene, init_state, first_frame } = result.digests;
+        Outcome {
+            success: result.success,
+            steps: result.steps.into(),
+            digests: [scene, init_state, first_frame],
+            prompt: result.prompt.expect("a prompt"),
+        }
+    }
+}
+
 /// Outcomes by rollout id.
 pub type Outcomes = BTreeMap<String, Outcome>;
 
@@ -31,9 +44,8 @@ pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
     let path = data.join("coordinator.sqlite");
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path).read_only(true);
     let mut database = sqlx::SqliteConnection::connect_with(&options).await.expect("a database");
-    let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
-        "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
-             r.first_frame_digest, r.prompt
+    let rows: Vec<(String, String)> = sqlx::query_as(
+        "SELECT j.rollout_id, r.outcome
          FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
          WHERE c.name = ?",
     )
@@ -41,9 +53,9 @@ pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
     .fetch_all(&mut database)
     .await
     .expect("results");
-    let rows = rows.into_iter().map(|(id, success, steps, scene, state, frame, prompt)| {
-        (id, Outcome { success, steps, digests: [scene, state, frame], prompt })
-    });
+    let rows = rows
+        .into_iter()
+        .map(|(id, outcome)| (id, Outcome::of(serde_json::from_str(&outcome).expect("a result"))));
     rows.collect()
 }
 
@@ -60,12 +72,6 @@ pub fn alone(gateway: &str, id: &str, more: &[&str]) -> Outcome {
     assert!(run.status.success(), "{id}: {}", String::from_utf8_lossy(&run.stderr));
     let text = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: Value = serde_json::from_slice(&text).expect("JSON");
-    let Value::Object(finished) = &result["finished"] else { panic!("{result}") };
-    let digest = |name: &str| finished["evidence"][name].as_str().expect(name).to_owned();
-    Outcome {
-        success: finished["outcome"]["success"].as_bool().expect("a truth value"),
-        steps: finished["outcome"]["steps"].as_i64().expect("a number"),
-        digests: ["scene_digest", "init_state_digest", "first_frame_digest"].map(digest),
-        prompt: finished["outcome"]["prompt"].as_str().expect("a prompt").to_owned(),
-    }
+    let outcome = result["finished"]["outcome"].clone();
+    Outcome::of(serde_json::from_value(outcome).expect("a result"))
 }

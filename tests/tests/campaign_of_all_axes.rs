@@ -140,7 +140,7 @@ fn stored(data: &Path) -> BTreeMap<RolloutId, Stored> {
             SqliteConnectOptions::new().filename(data.join("coordinator.sqlite")).read_only(true);
         let mut database = SqliteConnection::connect_with(&options).await.unwrap();
         let rows = sqlx::query_as(
-            "SELECT j.manifest_row, r.realised
+            "SELECT j.manifest_row, r.outcome -> 'realised'
              FROM result r JOIN job j ON j.id = r.job_id",
         );
         rows.fetch_all(&mut database).await.unwrap()

@@ -5,14 +5,13 @@
 //! Every message about a rollout names its attempt: an event that crosses a command in transit may
 //! concern an attempt that the receiver has already dropped.
 
-use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::{Look, ManifestRow, Realisation, RolloutId};
+use libero_ctrl::{ManifestRow, Realisation, RolloutId};
 use proto::coordinator::release_request::Reason;
-use rollout_types::{AttemptId, Motion, Realised, RolloutResult};
+use rollout_types::{AttemptId, Motion, Provenance, RolloutResult};
 use serde::{Deserialize, Serialize};
 
 use crate::actor::{PolicyError, PolicySession};
@@ -148,50 +147,17 @@ pub enum RolloutEvent {
     NotFilmed(String),
 }
 
-/// Result of a rollout, with its provenance as far as the slot knows it.
+/// Result of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
     pub result: RolloutResult,
-    /// Simulator, scene and policy that produced the result.
-    pub evidence: Evidence,
+    /// Provenance without host, asset pack, simulator's version and program, which the parent has
+    /// registered with and adds.
+    pub provenance: Provenance,
     /// Path of the end-effector and actions of the robot.
     pub motion: Motion,
     /// True if the slot films the rollout next, and reports `Filmed` or `NotFilmed` afterwards.
     pub is_filmed_next: bool,
-}
-
-/// Simulator, scene and policy that produced a result. Digests are SHA-256,
-/// hex, except that of the policy's weights, which is as the policy gives it.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct Evidence {
-    /// Name that the renderer reports. Empty if no renderer was opened; a campaign opens one even
-    /// for a rollout that renders no frame.
-    pub renderer: String,
-    /// See [`sim::fingerprint`]; empty if no renderer was opened.
-    pub fingerprint: String,
-    pub look: Look,
-    /// Digest of the composed MJCF.
-    pub scene_digest: String,
-    /// Digest of the initial state's bytes.
-    pub init_state_digest: String,
-    /// The perturbation as it was realised.
-    pub realised: Realised,
-    /// Digest of the first frames that the policy saw; empty if it sees none.
-    pub first_frame_digest: String,
-    /// The policy's own name.
-    pub policy_name: String,
-    /// Name of the policy's checkpoint, as the policy describes it.
-    pub policy_checkpoint: String,
-    /// Digest of the checkpoint's weights, as the policy gives it.
-    pub policy_checkpoint_digest: String,
-    /// True if the policy sees the simulator's own state.
-    pub policy_privileged: bool,
-    /// True if the policy gets the canonical instruction under every condition.
-    pub policy_canonical_only: bool,
-    /// Settings that the policy's server resolved, by name, with `horizon` and `execute`.
-    pub policy_settings: BTreeMap<String, String>,
-    /// Batch mode of the gateway; "single" without a gateway.
-    pub batch_mode: String,
 }
 
 /// Reason why a rollout has no result.

@@ -169,11 +169,11 @@ pub fn run(
         SearchResult::NeverSaved => (None, true),
         SearchResult::SavedUntil { saved, is_monotone } => (Some(saved), is_monotone),
     };
-    let evidence = failed.finished.evidence;
+    let provenance = failed.finished.provenance;
     let rescue = Rescue {
         rollout_id: id,
-        policy: evidence.policy_name,
-        policy_checkpoint_digest: evidence.policy_checkpoint_digest,
+        policy: provenance.policy_name,
+        policy_checkpoint_digest: provenance.policy_checkpoint_digest,
         max_steps: assignment.row.max_steps,
         saved_until: saved.map(|query| query_steps[query]),
         lost_from: match saved {

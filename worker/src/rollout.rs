@@ -11,17 +11,26 @@ use std::time::Instant;
 
 use libero_ctrl::{Execution, Query, Schedule};
 use proto::policy as wire;
-use rollout_types::{EXECUTION, GoalProgress, IkResidual, Motion, Parts, Realised, RolloutResult};
+use rollout_types::{
+    Digests, EXECUTION, GoalProgress, IkResidual, MAX_PROMPT_BYTES, Motion, Parts, Pin, Provenance,
+    RolloutResult,
+};
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
-use sim::{CameraRequest, Digests, Episode, Observation, ObservationRequest, SimError};
+use sim::{CameraRequest, Episode, Observation, ObservationRequest, SimError};
 use transport::chain;
 
 use crate::actor::{Action, Actor, Description, PolicyError};
-use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
+use crate::message::{Assignment, Failure, FailureKind, Finished};
 use crate::observation;
 use crate::stage::Stage;
 use crate::stopwatch::{add_elapsed_time, add_processor_time};
+
+// A result holds whatever a policy's description may hold, and the settings that `settings` adds.
+const _: () = assert!(
+    proto::MAX_TEXT_BYTES <= rollout_types::MAX_TEXT_BYTES
+        && proto::MAX_SETTINGS + 4 <= rollout_types::MAX_SETTINGS
+);
 
 /// Control step of the policy.
 pub struct Step {
@@ -165,15 +174,11 @@ pub(crate) fn run_resumed(
         .renderer_and_fingerprint(needs_renderer)
         .map_err(|source| run.simulator_failed(source))?;
     let look = stage.look();
-    let (result, digests, realised) = run.simulate(stage)?;
-    let evidence = Evidence {
-        renderer,
+    let result = run.simulate(stage)?;
+    let provenance = Provenance {
+        pin: Pin { renderer, look, ..Pin::default() },
         fingerprint,
-        look,
-        scene_digest: digests.scene,
-        init_state_digest: digests.init_state,
-        realised,
-        first_frame_digest: std::mem::take(&mut run.first_frame_digest),
+        realisation: assignment.realisation.to_string(),
         policy_name: description.about.name.clone(),
         policy_checkpoint: description.about.checkpoint.clone(),
         policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
@@ -184,11 +189,12 @@ pub(crate) fn run_resumed(
             "" => UNBATCHED.to_owned(),
             mode => mode.to_owned(),
         },
+        ..Provenance::default()
     };
     let finished = Finished {
         is_filmed_next: assignment.video_of(result.success).is_some(),
         result,
-        evidence,
+        provenance,
         motion: run.motion(),
     };
     Ok(Simulated { finished, actions: run.executed })
@@ -219,10 +225,7 @@ struct Run<'a> {
 
 impl Run<'_> {
     /// Simulates from the composed scene to the goal or the end of the step budget.
-    fn simulate(
-        &mut self,
-        stage: &mut Stage<'_>,
-    ) -> Result<(RolloutResult, Digests, Realised), RolloutError> {
+    fn simulate(&mut self, stage: &mut Stage<'_>) -> Result<RolloutResult, RolloutError> {
         let Assignment { row, realisation, .. } = self.assignment;
         let started = Instant::now();
         let change = self.resumed.map(|resumed| resumed.change);
@@ -257,7 +260,10 @@ impl Run<'_> {
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));
         let success = outcome?;
         self.watcher.ended(&mut episode);
-        let result = RolloutResult {
+        let prompt = &instruction[..instruction.floor_char_boundary(MAX_PROMPT_BYTES)];
+        let sim::Digests { scene, init_state } = episode.digests().clone();
+        let first_frame = std::mem::take(&mut self.first_frame_digest);
+        Ok(RolloutResult {
             success,
             steps: self.steps(),
             wall_secs: started.elapsed().as_secs_f64(),
@@ -270,9 +276,10 @@ impl Run<'_> {
             policy_queries: self.queries,
             parts: self.parts,
             goal: self.goal,
-            prompt: Some(instruction.into_owned()).filter(|prompt| !prompt.is_empty()),
-        };
-        Ok((result, episode.digests().clone(), episode.realised().clone()))
+            prompt: Some(prompt.to_owned()).filter(|prompt| !prompt.is_empty()),
+            digests: Digests { scene, init_state, first_frame },
+            realised: episode.realised().clone(),
+        })
     }
 
     /// Alternates queries and steps until the goal holds or the step budget is spent.

@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use rollout_types::RolloutResult;
+use rollout_types::{Provenance, RolloutResult};
 use scene::TaskFiles;
 use serde::Serialize;
 use sim::{Simulator, VariantStart};
@@ -22,7 +22,7 @@ use transport::chain;
 
 use crate::actor::{Action, Actor};
 use crate::filming::film;
-use crate::message::{Assignment, Evidence, Finished};
+use crate::message::{Assignment, Finished};
 use crate::rollout;
 use crate::stage::Stage;
 
@@ -64,7 +64,7 @@ struct OwnFiles<'a> {
 #[derive(Debug, Serialize)]
 struct FinishedFile<'a> {
     outcome: &'a RolloutResult,
-    evidence: &'a Evidence,
+    provenance: &'a Provenance,
     motion: MotionFile,
     /// Path of the video, if one was requested and could be made.
     video: Option<PathBuf>,
@@ -122,7 +122,7 @@ pub fn run(
         assignment,
         finished: FinishedFile {
             outcome: &finished.result,
-            evidence: &finished.evidence,
+            provenance: &finished.provenance,
             motion: MotionFile {
                 path: finished.motion.path(),
                 actions: actions.map(|action| action.map(f64::from)).collect(),

@@ -37,7 +37,7 @@ impl<'a> Stage<'a> {
         Self { variant, ..self }
     }
 
-    /// Leaves the renderer closed, and unnamed in the evidence, if a rollout renders nothing. Not
+    /// Leaves the renderer closed, and unnamed in the provenance, if a rollout renders nothing. Not
     /// for campaigns, which are pinned to a renderer.
     pub fn with_a_renderer_only_if_needed(self) -> Self {
         Self { always_names_renderer: false, ..self }

@@ -165,7 +165,7 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
         assert_eq!(at_once.sent, delayed.sent, "{model}");
         let is_late = !model.ends_with("wait") && !model.contains(":0");
         assert_eq!(at_once.bits() == waits.bits(), !is_late, "{model}");
-        let settings = &at_once.simulated.finished.evidence.policy_settings;
+        let settings = &at_once.simulated.finished.provenance.policy_settings;
         let named = settings.get(EXECUTION).map_or("wait", String::as_str);
         assert_eq!(named, model);
         let ignored = settings.get("real-time chunking").map(String::as_str);
@@ -193,7 +193,7 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
         run_row(&mut simulator, nominal.clone().under(&parse_model("overlap:4")), false);
     assert_eq!(ran.bits(), delayed_nominal.bits());
     assert_ne!(ran.bits(), run_row(&mut simulator, nominal, false).bits());
-    let settings = &ran.simulated.finished.evidence.policy_settings;
+    let settings = &ran.simulated.finished.provenance.policy_settings;
     assert_eq!(settings[EXECUTION], "overlap:4");
 }
 

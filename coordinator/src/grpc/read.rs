@@ -4,19 +4,17 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Axis, JsonError, Look, Suite, select_tasks};
-use proto::{MAX_MOTION_STEPS, MAX_TEXT_BYTES, coordinator as wire};
-use queue::ids::{CampaignName, JobId, JobName, WorkerId, shortened};
+use libero_ctrl::{JsonError, Look, Suite, select_tasks};
+use proto::{MAX_MOTION_STEPS, coordinator as wire};
+use queue::ids::{CampaignName, JobId, JobName, WorkerId, json_problem, shortened};
 use queue::read::JobFilter;
 use queue::rules::campaign::{Change, PRIORITIES};
 use queue::rules::lease::FailureReason;
 use queue::{
     Alteration, AppendedRow, CommitReport, MAX_JOBS_RETRIED, MAX_SLOTS, Retry, WorkerInfo,
 };
-use rollout_types::{
-    AttemptId, Digests, GoalProgress, IkResidual, Motion, Parts, Pin, Provenance, Realised,
-    RolloutResult,
-};
+use rollout_types::{AttemptId, MAX_TEXT_BYTES, Measurement, Motion, Pin, Provenance};
+use serde_json::Value;
 use terminal::printable;
 use tonic::Status;
 
@@ -26,17 +24,9 @@ use super::failure::invalid;
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest stored error message, bytes; longer ones are truncated.
 const MAX_ERROR_BYTES: usize = 4_096;
-/// Longest stored prompt of a policy, bytes; longer ones are truncated.
-const MAX_PROMPT_BYTES: usize = 4_096;
 /// Longest path and actions of a motion, bytes: 6 per position and 28 per action.
 const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * 6;
 const MAX_ACTIONS_BYTES: usize = MAX_MOTION_STEPS * 28;
-/// Largest measurement of a result, in seconds, millimetres or degrees; bounded so that sums stay
-/// finite.
-const MAX_MEASURED: f64 = 1e9;
-/// Most values of one realised axis; the metric axes, which have numeric parameters, have at most a
-/// few dozen.
-const MAX_REALISED_VALUES: usize = 1_024;
 
 pub(super) fn worker_id(id: &str) -> Result<WorkerId, Status> {
     WorkerId::parse(id).map_err(invalid)
@@ -96,42 +86,40 @@ pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     })
 }
 
+/// Reads a reported result. Its texts become printable, whatever fields they are in.
 pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Status> {
-    let provenance = request.provenance.ok_or_else(|| missing("provenance"))?;
+    let text = &request.measurement;
+    let unreadable = |error: serde_json::Error| {
+        // The parser names no field whose value has another type, only the column after it.
+        let before = text.get(..error.column()).unwrap_or(text).rsplit_once("\":");
+        let field = before.and_then(|(before, _)| before.rsplit('"').next()).unwrap_or_default();
+        let field = shortened(field, MAX_ROLLOUT_ID_BYTES).to_owned();
+        invalid(format!("read `measurement` after `{field}`: {}", json_problem(error)))
+    };
+    let Measurement { result, provenance } = Measurement::from_json(text).map_err(unreadable)?;
+    let provenance = serde_json::to_value(provenance).map(printable_texts);
+    let provenance: Provenance = provenance.and_then(serde_json::from_value).map_err(unreadable)?;
+    if let Some(problem) = result.problem().or_else(|| provenance.problem()) {
+        return Err(invalid(problem));
+    }
     Ok(CommitReport {
-        motion: motion(request.motion.unwrap_or_default())?,
         attempt: attempt(&request.attempt_id)?,
-        result: result(request.result.ok_or_else(|| missing("result"))?)?,
-        realised: realised(provenance.realised)?,
-        digests: Digests {
-            scene: digest("scene_digest", &provenance.scene_digest)?,
-            init_state: digest("init_state_digest", &provenance.init_state_digest)?,
-            first_frame: digest_or_empty("first_frame_digest", &provenance.first_frame_digest)?,
-        },
-        provenance: Provenance {
-            host: text("host", provenance.host)?,
-            pin: Pin {
-                asset_pack: required("asset_pack", provenance.asset_pack)?,
-                asset_pack_digest: required("asset_pack_digest", provenance.asset_pack_digest)?,
-                mujoco_version: required("mujoco_version", provenance.mujoco_version)?,
-                renderer: required("renderer", provenance.renderer)?,
-                look: look(&provenance.look)?,
-            },
-            fingerprint: digest("fingerprint", &provenance.fingerprint)?,
-            realisation: realisation(&provenance.realisation)?,
-            policy_name: required("policy_name", provenance.policy_name)?,
-            policy_checkpoint: text("policy_checkpoint", provenance.policy_checkpoint)?,
-            policy_checkpoint_digest: text(
-                "policy_checkpoint_digest",
-                provenance.policy_checkpoint_digest,
-            )?,
-            policy_privileged: provenance.policy_privileged,
-            policy_canonical_only: provenance.policy_canonical_only,
-            policy_settings: settings(provenance.policy_settings)?,
-            batch_mode: text("batch_mode", provenance.batch_mode)?,
-            program_version: text("program_version", provenance.program_version)?,
-        },
+        measurement: Measurement { result, provenance },
+        motion: motion(request.motion.unwrap_or_default())?,
     })
+}
+
+fn printable_texts(value: Value) -> Value {
+    match value {
+        Value::String(text) => Value::String(printable(&text).into_owned()),
+        Value::Object(fields) => {
+            let printed = |(name, value): (String, _)| {
+                (printable(&name).into_owned(), printable_texts(value))
+            };
+            Value::Object(fields.into_iter().map(printed).collect())
+        }
+        value => value,
+    }
 }
 
 pub(super) fn change(change: i32) -> Result<Change, Status> {
@@ -308,77 +296,6 @@ fn motion(motion: wire::Motion) -> Result<Motion, Status> {
     Ok(motion)
 }
 
-fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
-    let residuals = [result.ik_residual_mm, result.ik_residual_deg];
-    let fits = |value: &f64| (0.0..=MAX_MEASURED).contains(value);
-    let parts = result.parts.ok_or_else(|| missing("parts"))?;
-    let parts = Parts {
-        physics_secs: parts.physics_secs,
-        drawing_secs: parts.drawing_secs,
-        policy_secs: parts.policy_secs,
-    };
-    let secs = [result.wall_secs, parts.physics_secs, parts.drawing_secs, parts.policy_secs];
-    if !residuals.iter().flatten().chain(&secs).all(fits) {
-        return Err(invalid(format!(
-            "`result` holds a number that is negative, not finite or above {MAX_MEASURED:e}"
-        )));
-    }
-    let goal = result.goal.ok_or_else(|| missing("goal"))?;
-    let goal =
-        GoalProgress { predicates: goal.predicates, at_end: goal.at_end, at_most: goal.at_most };
-    if !goal.agrees_with(result.success) {
-        return Err(invalid(
-            "`result` has goal progress that is inconsistent in itself or with `success`",
-        ));
-    }
-    let ik = |residual_mm| IkResidual {
-        residual_mm,
-        residual_deg: result.ik_residual_deg.unwrap_or_default(),
-        clamped_joints: result.ik_clamped_joints.unwrap_or_default(),
-    };
-    Ok(RolloutResult {
-        success: result.success,
-        steps: result.steps,
-        wall_secs: result.wall_secs,
-        ik: result.ik_residual_mm.map(ik),
-        clipped_actions: result.clipped_actions,
-        policy_queries: result.policy_queries,
-        parts,
-        goal,
-        prompt: Some(shortened(&result.prompt, MAX_PROMPT_BYTES).to_owned())
-            .filter(|prompt| !prompt.is_empty()),
-    })
-}
-
-fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
-    let mut realised = Realised::default();
-    for wire::RealisedAxis { axis: name, parameters, elements } in axes {
-        let axis = name.parse().ok().filter(|axis: &Axis| !axis.def().parameters.is_empty());
-        let values = parameters.iter().chain(&elements);
-        let fits =
-            values.clone().count() <= MAX_REALISED_VALUES && values.copied().all(f64::is_finite);
-        match axis {
-            Some(axis) if fits && realised.of(axis).is_none() => {
-                realised.add(axis, parameters, elements);
-            }
-            _ => {
-                return Err(invalid(format!(
-                    "`realised` of axis `{}`: each axis must be metric, occur once \
-                     and have at most {MAX_REALISED_VALUES} values, all finite",
-                    shortened(&name, MAX_ROLLOUT_ID_BYTES)
-                )));
-            }
-        }
-    }
-    Ok(realised)
-}
-
-fn realisation(name: &str) -> Result<String, Status> {
-    name.parse::<libero_ctrl::Realisation>()
-        .map(|realisation| realisation.to_string())
-        .map_err(invalid)
-}
-
 fn look(name: &str) -> Result<Look, Status> {
     name.parse().map_err(invalid)
 }
@@ -390,44 +307,11 @@ fn text(field: &str, value: String) -> Result<String, Status> {
     Ok(printable(&value).into_owned())
 }
 
-fn settings(given: BTreeMap<String, String>) -> Result<BTreeMap<String, String>, Status> {
-    // The worker adds up to four settings to those of the policy: `execute`, `horizon`, and two
-    // about the execution model.
-    if given.len() > proto::MAX_SETTINGS + 4 {
-        let count = given.len();
-        return Err(invalid(format!(
-            "`policy_settings` has {count} entries; it may have at most {}",
-            proto::MAX_SETTINGS + 4
-        )));
-    }
-    let checked = given.into_iter().map(|(name, value)| {
-        let name = text("policy_settings", name)?;
-        Ok((name, text("policy_settings", value)?))
-    });
-    checked.collect()
-}
-
 fn required(field: &str, value: String) -> Result<String, Status> {
     if value.is_empty() {
         return Err(missing(field));
     }
     text(field, value)
-}
-
-fn digest(field: &str, value: &str) -> Result<String, Status> {
-    let is_hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
-    if value.len() == 64 && value.bytes().all(is_hex) {
-        Ok(value.to_owned())
-    } else {
-        Err(invalid(format!("`{field}` is not a SHA-256 in lower-case hex")))
-    }
-}
-
-fn digest_or_empty(field: &str, value: &str) -> Result<String, Status> {
-    if value.is_empty() {
-        return Ok(String::new());
-    }
-    digest(field, value)
 }
 
 fn missing(field: &str) -> Status {

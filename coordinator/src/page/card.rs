@@ -5,6 +5,7 @@ use libero_ctrl::{Axis, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 use queue::rules::lease::FailureReason;
+use rollout_types::GoalProgress;
 use terminal::counted;
 
 use super::layout::breakable;
@@ -85,11 +86,11 @@ fn describe_state(shown: &ShownRollout) -> (&'static str, &'static str, String) 
     let line = &shown.line;
     match (&shown.result, line.state.as_str()) {
         (Some(result), _) => {
-            let (class, word, preposition) = match result.success {
+            let (class, word, preposition) = match result.outcome.success {
                 true => ("succeeded", "✓ success", "after"),
                 false => ("failed", "✗ failure", "in"),
             };
-            let steps = result.steps;
+            let steps = result.outcome.steps;
             (class, word, format!("{preposition} {steps} of {budget} control steps"))
         }
         (None, "leased") => {
@@ -226,19 +227,19 @@ fn provenance(shown: &ShownRollout, replicate: u32) -> Markup {
 }
 
 /// Describes how many goal predicates held.
-fn goal(result: &ResultLine) -> String {
-    let (predicates, at_end, at_most) =
-        (result.goal_predicates, result.goal_at_end, result.goal_at_most);
+fn goal(goal: GoalProgress) -> String {
+    let GoalProgress { predicates, at_end, at_most } = goal;
     format!("{at_end} of {predicates} predicates held at the end, at most {at_most} at once")
 }
 
 fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
     let (provenance, pin) = (&result.provenance, &result.provenance.pin);
+    let outcome = &result.outcome;
     let privileged = match provenance.policy_privileged {
         true => ", sees the simulator's state",
         false => "",
     };
-    let residual = result.ik_residual_mm.map(|mm| format!("{mm:.2} mm"));
+    let residual = outcome.ik.map(|ik| format!("{:.2} mm", ik.residual_mm));
     let divergent = match result.divergences {
         0 => String::new(),
         count => format!("{count} reports of another outcome"),
@@ -250,11 +251,11 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("divergent", divergent),
         ("attempt id", result.attempt.to_string()),
         ("worker", result.worker_id.to_string()),
-        ("duration", duration_text(result.wall_secs)),
-        ("policy queries", result.policy_queries.to_string()),
-        ("actions clipped", result.clipped_actions.to_string()),
-        ("goal", goal(result)),
-        ("prompt", result.prompt.clone().unwrap_or_default()),
+        ("duration", duration_text(outcome.wall_secs)),
+        ("policy queries", outcome.policy_queries.to_string()),
+        ("actions clipped", outcome.clipped_actions.to_string()),
+        ("goal", goal(outcome.goal)),
+        ("prompt", outcome.prompt.clone().unwrap_or_default()),
         ("inverse kinematics off by", residual.unwrap_or_default()),
         ("policy", format!("{}{privileged}", provenance.policy_name)),
         ("checkpoint", provenance.policy_checkpoint.clone()),
@@ -269,9 +270,9 @@ fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("fingerprint", short_digest(&provenance.fingerprint)),
         ("machine", provenance.host.clone()),
         ("worker's program", provenance.program_version.clone()),
-        ("scene", short_digest(&result.digests.scene)),
-        ("initial state's bytes", short_digest(&result.digests.init_state)),
-        ("first frames", short_digest(&result.digests.first_frame)),
+        ("scene", short_digest(&outcome.digests.scene)),
+        ("initial state's bytes", short_digest(&outcome.digests.init_state)),
+        ("first frames", short_digest(&outcome.digests.first_frame)),
     ]
 }
 

@@ -241,7 +241,7 @@ fn transition(shown: &[ShownRollout], replicate: u32) -> Option<&'static str> {
             init_id: shown.row.init_id,
             replicate,
             outcome: match &shown.result {
-                Some(result) => Outcome::from(result.success),
+                Some(result) => Outcome::from(result.outcome.success),
                 None => Outcome::Missing,
             },
         })

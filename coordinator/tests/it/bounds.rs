@@ -18,14 +18,8 @@ async fn impossibly_large_numbers_from_workers_are_refused_or_capped() {
         assert_refused(worker.service.register(request).await, Code::InvalidArgument, &[]);
     }
     let lease = worker.claim_one().await;
-    let mut report = worker.report(&lease, true);
-    let result = report.result.as_mut().expect("a result");
-    (result.wall_secs, result.ik_residual_mm) = (1e308, Some(0.0));
-    assert_refused(worker.service.commit(report.clone()).await, Code::InvalidArgument, &[]);
-    let result = report.result.as_mut().expect("a result");
-    (result.wall_secs, result.ik_residual_mm) = (1.0, Some(1e308));
-    let refused = worker.service.commit(report).await;
-    refused.expect_err("an impossible distance");
+    let report = worker.report_altered(&lease, true, |of| of.result.wall_secs = 1e308);
+    assert_refused(worker.service.commit(report).await, Code::InvalidArgument, &["`wall_secs`"]);
     worker.report_filming(u32::MAX).await;
     let metrics = http(&bench.url, "GET /metrics").await;
     assert_eq!(metrics.code, 200);

@@ -3,6 +3,7 @@
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use queue::{DATABASE_FILE, OpenError, Store, newest_known_schema};
+use rollout_types::IkResidual;
 use serde_json::{Value, json};
 use tonic::Code;
 
@@ -58,8 +59,7 @@ async fn a_status_has_counts_and_rate() {
     for success in [true, false] {
         let lease = worker.claim_one().await;
         bench.advance(10).await;
-        let mut report = worker.report(&lease, success);
-        report.result.as_mut().expect("a result").wall_secs = 10.0;
+        let report = worker.report_altered(&lease, success, |of| of.result.wall_secs = 10.0);
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let status = bench.status("paced").await;
@@ -84,10 +84,10 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     let mut leases = worker.claim(4).await;
     leases.reverse();
     for lease in &leases {
-        let mut report = worker.report(lease, true);
-        if lease.manifest_row.contains("robot") {
-            report.result.as_mut().expect("a result").ik_residual_mm = Some(0.125);
-        }
+        let ik = IkResidual { residual_mm: 0.125, residual_deg: 0.0, clamped_joints: 0 };
+        let report = worker.report_altered(lease, true, |of| {
+            of.result.ik = lease.manifest_row.contains("robot").then_some(ik);
+        });
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let request = wire::ExportRequest { campaign: "out".to_owned() };

@@ -6,6 +6,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use coordinator::{Config, Coordinator};
+use libero_ctrl::Axis;
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
@@ -18,6 +19,9 @@ use queue::rules::campaign::CampaignState;
 use queue::{Created, Queue, Timing};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
+use rollout_types::{
+    Digests, GoalProgress, Measurement, Parts, Pin, Provenance, Realised, RolloutResult,
+};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
@@ -359,56 +363,67 @@ impl Worker {
 
     /// Returns the report of an outcome as a worker with this pack would send it.
     pub(crate) fn report(&self, lease: &wire::Lease, success: bool) -> wire::CommitRequest {
+        self.report_altered(lease, success, |_| {})
+    }
+
+    /// Like [`report`](Self::report), with an altered result.
+    pub(crate) fn report_altered(
+        &self,
+        lease: &wire::Lease,
+        success: bool,
+        alter: impl FnOnce(&mut Measurement),
+    ) -> wire::CommitRequest {
         let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
-        wire::CommitRequest {
-            motion: Some(wire::Motion {
-                path: vec![1; 6],
-                actions: vec![2; if lease.keep_actions { 28 } else { 0 }],
-            }),
-            attempt_id: lease.attempt_id.clone(),
-            result: Some(wire::RolloutResult {
+        let held = |count: u32| if success { 2 } else { count };
+        let execution = row["execution"].as_str();
+        let mut measurement = Measurement {
+            result: RolloutResult {
                 success,
                 steps: if success { 120 } else { 280 },
                 wall_secs: 1.5,
                 policy_queries: 30,
-                parts: Some(wire::Parts {
-                    physics_secs: 0.5,
-                    drawing_secs: 0.25,
-                    policy_secs: 0.5,
-                }),
-                goal: Some(wire::GoalProgress {
-                    predicates: 2,
-                    at_end: if success { 2 } else { 0 },
-                    at_most: if success { 2 } else { 1 },
-                }),
-                ..wire::RolloutResult::default()
-            }),
-            provenance: Some(wire::Provenance {
-                host: "bench".to_owned(),
-                renderer: self.renderer.clone(),
-                look: self.look.clone(),
-                fingerprint: sha(&self.fingerprint),
-                mujoco_version: "3.3.7".to_owned(),
-                asset_pack: self.pack.clone(),
-                asset_pack_digest: sha(&self.pack),
-                scene_digest: sha(&format!("{}/{}", row["suite"], row["task_id"])),
-                init_state_digest: sha(&format!(
-                    "{}/{}/{}",
-                    row["suite"], row["task_id"], row["init_id"]
-                )),
+                parts: Parts { physics_secs: 0.5, drawing_secs: 0.25, policy_secs: 0.5 },
+                goal: GoalProgress { predicates: 2, at_end: held(0), at_most: held(1) },
+                digests: Digests {
+                    scene: sha(&format!("{}/{}", row["suite"], row["task_id"])),
+                    init_state: sha(&format!(
+                        "{}/{}/{}",
+                        row["suite"], row["task_id"], row["init_id"]
+                    )),
+                    first_frame: String::new(),
+                },
                 realised: realised(&row),
-                first_frame_digest: String::new(),
+                ..RolloutResult::default()
+            },
+            provenance: Provenance {
+                host: "bench".to_owned(),
+                pin: Pin {
+                    asset_pack: self.pack.clone(),
+                    asset_pack_digest: sha(&self.pack),
+                    mujoco_version: "3.3.7".to_owned(),
+                    renderer: self.renderer.clone(),
+                    look: self.look.parse().expect("a look"),
+                },
+                fingerprint: sha(&self.fingerprint),
                 realisation: lease.realisation.clone(),
                 policy_name: lease.policy.clone(),
                 policy_checkpoint: "none".to_owned(),
-                policy_settings: row["execution"]
-                    .as_str()
+                policy_settings: execution
                     .map(|model| ("execution model".to_owned(), model.to_owned()))
                     .into_iter()
                     .collect(),
                 batch_mode: "deterministic".to_owned(),
                 program_version: "0.1.0".to_owned(),
-                ..wire::Provenance::default()
+                ..Provenance::default()
+            },
+        };
+        alter(&mut measurement);
+        wire::CommitRequest {
+            attempt_id: lease.attempt_id.clone(),
+            measurement: serde_json::to_string(&measurement).expect("JSON"),
+            motion: Some(wire::Motion {
+                path: vec![1; 6],
+                actions: vec![2; if lease.keep_actions { 28 } else { 0 }],
             }),
         }
     }
@@ -520,22 +535,18 @@ pub(crate) fn rollout_id(lease: &wire::Lease) -> String {
 
 /// Returns the perturbation that the simulated worker realises: the parameters and one constant
 /// element, so that both realisation modes give the same values.
-fn realised(row: &Value) -> Vec<wire::RealisedAxis> {
-    let parameters = &row["perturb"];
-    let axis = |name: &str, values: &Value| {
-        let values = values.as_object().expect("parameters").values();
-        wire::RealisedAxis {
-            axis: name.to_owned(),
-            parameters: values.map(|value| value.as_f64().expect("a number")).collect(),
-            elements: vec![0.5],
-        }
-    };
-    let names = ["camera", "lighting", "robot", "sensor", "actuation"];
-    match row["axis"].as_str().expect("a condition") {
-        "clean" | "language" => Vec::new(),
-        name if names.contains(&name) => vec![axis(name, parameters)],
-        _ => names.iter().filter_map(|name| Some(axis(name, parameters.get(name)?))).collect(),
+fn realised(row: &Value) -> Realised {
+    let mut realised = Realised::default();
+    for axis in Axis::METRIC {
+        let values = match row["axis"] == axis.name() {
+            true => Some(&row["perturb"]),
+            false => row["perturb"].get(axis.name()),
+        };
+        let Some(values) = values.and_then(Value::as_object) else { continue };
+        let parameters = values.values().map(|value| value.as_f64().expect("a number"));
+        realised.add(axis, parameters.collect(), vec![0.5]);
     }
+    realised
 }
 
 pub(crate) async fn open_database(folder: &Path) -> SqlitePool {

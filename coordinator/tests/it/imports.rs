@@ -91,9 +91,25 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
             &["find the campaign's rollouts", "it holds 7", "has 8"],
         ),
         (
-            "UPDATE result SET realised = '{\"camera\": 7}'
+            "UPDATE result SET outcome = json_set(outcome, '$.realised.camera', 7)
              WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["`realised` of its result cannot be read"],
+            &["results_fit_their_rows", "the result of job", "`7` is given where"],
+        ),
+        (
+            "UPDATE provenance SET origin = json_set(origin, '$.host', 7)",
+            &["results_fit_their_rows", "provenance 1: `7` is given where"],
+        ),
+        (
+            "PRAGMA writable_schema = ON;
+             UPDATE sqlite_schema SET sql = replace(sql, 'outcome ->> ''steps''', '1')
+             WHERE name = 'result';
+             PRAGMA writable_schema = RESET;
+             UPDATE result SET attempt = attempt;
+             PRAGMA writable_schema = ON;
+             UPDATE sqlite_schema SET sql = replace(sql, 'AS (1)', 'AS (outcome ->> ''steps'')')
+             WHERE name = 'result';
+             PRAGMA writable_schema = RESET",
+            &["results_fit_their_rows", "has 1 control steps"],
         ),
         (
             "UPDATE worker SET slots = 1099511627776",
@@ -106,16 +122,17 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
             &["read worker id `a b`"],
         ),
         (
-            "UPDATE result SET policy_queries = 9223372036854775807
+            "UPDATE result SET outcome = json_set(outcome, '$.policy_queries', 9223372036854775807)
              WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["results_fit_their_rows", "9223372036854775807 queries"],
+            &["results_fit_their_rows", "9223372036854775807"],
         ),
         (
-            "UPDATE result SET wall_secs = 1e300 WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["results_fit_their_rows"],
+            "UPDATE result SET outcome = json_set(outcome, '$.wall_secs', 1e300)
+             WHERE job_id = (SELECT min(job_id) FROM result)",
+            &["results_fit_their_rows", "`wall_secs`"],
         ),
         (
-            "UPDATE result SET clipped_actions = steps + 1
+            "UPDATE result SET outcome = json_set(outcome, '$.clipped_actions', steps + 1)
              WHERE job_id = (SELECT min(job_id) FROM result)",
             &["results_fit_their_rows"],
         ),

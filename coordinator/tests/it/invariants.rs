@@ -84,25 +84,26 @@ const BREACHES: [(&str, &str, &str); 20] = [
     ),
     (
         "results_are_of_the_pin",
-        "UPDATE provenance SET mujoco_version = '3.4.0'",
+        "UPDATE provenance SET origin = json_set(origin, '$.mujoco_version', '3.4.0')",
         "not of the assets, simulator",
     ),
     (
         "results_fit_their_rows",
-        "UPDATE result SET steps = 281 WHERE job_id = (SELECT min(job_id) FROM result)",
+        "UPDATE result SET outcome = json_set(outcome, '$.steps', 281)
+         WHERE job_id = (SELECT min(job_id) FROM result)",
         "has 281 control steps",
     ),
     (
         "configurations_agree",
-        "UPDATE result SET scene_digest =
-             'ffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff'
+        "UPDATE result SET outcome = json_set(outcome, '$.digests.scene',
+             'ffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffffff')
          WHERE job_id = (SELECT min(job_id) FROM result)",
         "has 2 scenes",
     ),
     (
         "divergences_differ",
-        "INSERT INTO divergence SELECT NULL, job_id, attempt, worker_id, 0, success, steps, 0,
-             provenance_id FROM result LIMIT 1",
+        "INSERT INTO divergence (job_id, attempt, worker_id, reported_ms, provenance_id, outcome)
+         SELECT job_id, attempt, worker_id, 0, provenance_id, outcome FROM result LIMIT 1",
         "no committed outcome",
     ),
     (

@@ -47,9 +47,10 @@ async fn latency_is_a_separate_condition() {
         let id: RolloutId = rollout_id(&lease).parse().expect("an id");
         if !is_refused_once && id.condition().sets_execution() {
             is_refused_once = true;
-            let mut report = worker.report(&lease, true);
-            let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
-            settings.remove("execution model").expect("an execution model");
+            let report = worker.report_altered(&lease, true, |of| {
+                let settings = &mut of.provenance.policy_settings;
+                settings.remove("execution model").expect("an execution model");
+            });
             let (verdict, detail) = worker.commit_request(report).await;
             assert_eq!(verdict, Verdict::Unpaired, "{detail}");
             assert!(detail.contains("runs under execution model `overlap:"), "{detail}");

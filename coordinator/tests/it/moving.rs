@@ -357,8 +357,9 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     refused(&["report.json", "differs", ".policy"]);
     for (sql, words) in [
         (
-            "UPDATE result SET success = 1 - success,
-                 goal_predicates = 1, goal_at_end = 1 - success, goal_at_most = 1
+            "UPDATE result SET outcome = json_set(outcome,
+                 '$.success', json(iif(success, 'false', 'true')),
+                 '$.goal.predicates', 1, '$.goal.at_end', 1 - success, '$.goal.at_most', 1)
              WHERE job_id = (SELECT min(job_id) FROM result);
              UPDATE tally SET succeeded = (SELECT sum(success) FROM result)",
             &["report.json", "differs"][..],

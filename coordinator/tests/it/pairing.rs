@@ -1,8 +1,10 @@
 //! Results that are inconsistent with those of their siblings, the rollouts from the same initial
 //! state of a task, are refused.
 
+use libero_ctrl::Axis;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
+use rollout_types::{CONNECTED_SINCE, IkResidual, Measurement, Realised, RealisedAxis};
 use serde_json::{Value, json};
 use tonic::Code;
 
@@ -24,29 +26,32 @@ async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
 #[tokio::test]
 async fn a_result_unlike_its_siblings_or_its_campaign_is_refused_with_the_difference_named() {
     let other = sha("other");
-    let set = |field: fn(&mut wire::Provenance) -> &mut String, value: &str| {
+    let set = |field: fn(&mut Measurement) -> &mut String, value: &str| {
         let value = value.to_owned();
-        move |provenance: &mut wire::Provenance| *field(provenance) = value.clone()
+        move |measurement: &mut Measurement| *field(measurement) = value.clone()
     };
-    type Alter<'a> = &'a dyn Fn(&mut wire::Provenance);
+    type Alter<'a> = &'a dyn Fn(&mut Measurement);
     let cases: [(Alter<'_>, &[&str]); 7] = [
         (
-            &set(|result| &mut result.scene_digest, &other),
+            &set(|of| &mut of.result.digests.scene, &other),
             &["scene digest", &other, "object/t0/clean", "worker `a`"],
         ),
-        (&set(|result| &mut result.init_state_digest, &other), &["initial-state digest", &other]),
-        (&set(|result| &mut result.asset_pack_digest, &other), &["asset pack", &other[..12]]),
-        (&set(|result| &mut result.mujoco_version, "3.4.0"), &["MuJoCo", "3.4.0", "3.3.7"]),
+        (&set(|of| &mut of.result.digests.init_state, &other), &["initial-state digest", &other]),
         (
-            &set(|result| &mut result.renderer, "NVIDIA H200"),
+            &set(|of| &mut of.provenance.pin.asset_pack_digest, &other),
+            &["asset pack", &other[..12]],
+        ),
+        (&set(|of| &mut of.provenance.pin.mujoco_version, "3.4.0"), &["MuJoCo", "3.4.0", "3.3.7"]),
+        (
+            &set(|of| &mut of.provenance.pin.renderer, "NVIDIA H200"),
             &["renderer", "NVIDIA H200", "llvmpipe"],
         ),
         (
-            &set(|result| &mut result.realisation, "reference"),
+            &set(|of| &mut of.provenance.realisation, "reference"),
             &["realisation mode", "reference", "matched"],
         ),
         (
-            &|result| result.realised.clear(),
+            &|of| of.result.realised = Realised::default(),
             &["set of perturbed axes", "`none` here", "`sensor` in its manifest row"],
         ),
     ];
@@ -72,13 +77,12 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
     let leases = worker.claim(4).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     // A rollout from another initial state of the same task has no siblings with results yet.
-    let mut other = worker.report(&leases[1], true);
-    other.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
-    assert_eq!(worker.commit_request(other).await.0, Verdict::Accepted);
+    let moved = |of: &mut Measurement| of.result.digests.scene = sha("moved");
+    let other = commit_altered(&mut worker, &leases[1], moved).await;
+    assert_eq!(other.0, Verdict::Accepted);
     // Replicate 1 of the first rollout.
-    let mut replicate = worker.report(&leases[2], true);
-    replicate.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
-    assert_eq!(worker.commit_request(replicate).await.0, Verdict::Unpaired);
+    let replicate = commit_altered(&mut worker, &leases[2], moved).await;
+    assert_eq!(replicate.0, Verdict::Unpaired);
 }
 
 /// Returns the leases of a campaign of one configuration: nominal, single axes, combination, and
@@ -91,23 +95,21 @@ async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
     (bench, worker, leases)
 }
 
-/// Commits a result with an altered provenance; returns the verdict and its explanation.
+/// Commits an altered result; returns the verdict and its explanation.
 async fn commit_altered(
     worker: &mut Worker,
     lease: &wire::Lease,
-    alter: impl FnOnce(&mut wire::Provenance),
+    alter: impl FnOnce(&mut Measurement),
 ) -> (Verdict, String) {
-    let mut report = worker.report(lease, true);
-    alter(report.provenance.as_mut().expect("provenance"));
-    worker.commit_request(report).await
+    worker.commit_request(worker.report_altered(lease, true, alter)).await
 }
 
 /// Shifts all realised elements of one axis by `by`.
-fn shift_elements(provenance: &mut wire::Provenance, axis: &str, by: f64) {
-    let is_of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
-    for realised in provenance.realised.iter_mut().filter(is_of_axis) {
-        realised.elements.iter_mut().for_each(|value| *value += by);
-    }
+fn shift_elements(measurement: &mut Measurement, axis: Axis, by: f64) {
+    let realised = &mut measurement.result.realised;
+    let RealisedAxis { parameters, mut elements } = realised.of(axis).expect("an axis").clone();
+    elements.iter_mut().for_each(|value| *value += by);
+    realised.add(axis, parameters, elements);
 }
 
 #[tokio::test]
@@ -117,7 +119,7 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
         panic!("{} leases", leases.len());
     };
     worker.commit_all([clean, camera, sensor], true).await;
-    let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "sensor", 0.5);
+    let shifted = |of: &mut Measurement| shift_elements(of, Axis::Sensor, 0.5);
     let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert_contains(
@@ -130,14 +132,14 @@ async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() 
 /// random values.
 #[tokio::test]
 async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_may_not() {
-    let verdict_of = async |axis: &'static str| {
+    let verdict_of = async |axis: Axis| {
         let (_bench, mut worker, leases) = leases_of(json!({"realisation": "reference"})).await;
         worker.commit_all(&leases[..3], true).await;
-        let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, axis, 0.5);
+        let shifted = |of: &mut Measurement| shift_elements(of, axis, 0.5);
         commit_altered(&mut worker, &leases[3], shifted).await.0
     };
-    assert_eq!(verdict_of("sensor").await, Verdict::Accepted);
-    assert_eq!(verdict_of("camera").await, Verdict::Unpaired);
+    assert_eq!(verdict_of(Axis::Sensor).await, Verdict::Accepted);
+    assert_eq!(verdict_of(Axis::Camera).await, Verdict::Unpaired);
 }
 
 #[tokio::test]
@@ -145,7 +147,7 @@ async fn a_replicate_with_other_realised_values_is_refused() {
     let twice = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(twice).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", 0.5);
+    let shifted = |of: &mut Measurement| shift_elements(of, Axis::Camera, 0.5);
     let (verdict, detail) = commit_altered(&mut worker, &leases[1], shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("axis camera"), "{detail}");
@@ -157,7 +159,7 @@ async fn a_replicate_with_another_first_frame_is_refused() {
     let (_bench, mut worker, leases) = leases_of(twice).await;
     let with_first_frame = |frame: &str| {
         let frame = sha(frame);
-        move |provenance: &mut wire::Provenance| provenance.first_frame_digest = frame
+        move |of: &mut Measurement| of.result.digests.first_frame = frame
     };
     let first = commit_altered(&mut worker, &leases[0], with_first_frame("one")).await;
     assert_eq!(first.0, Verdict::Accepted);
@@ -172,7 +174,7 @@ async fn conditions_without_visual_perturbation_must_have_the_nominal_first_fram
         leases_of(json!({"axes": ["camera", "actuation", "language"]})).await;
     let mut commit_frame = async |lease: &wire::Lease, frame: &str| {
         let frame = sha(frame);
-        commit_altered(&mut worker, lease, |provenance| provenance.first_frame_digest = frame).await
+        commit_altered(&mut worker, lease, |of| of.result.digests.first_frame = frame).await
     };
     let [clean, camera, actuation, language, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
@@ -198,13 +200,13 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
     {
         let (bench, mut worker, leases) = leases_of(json!({})).await;
         worker.commit_all(&leases[..3], true).await;
-        let shifted = |provenance: &mut wire::Provenance| shift_elements(provenance, "camera", by);
+        let shifted = |of: &mut Measurement| shift_elements(of, Axis::Camera, by);
         let (verdict, detail) = commit_altered(&mut worker, &leases[3], shifted).await;
         assert_eq!(verdict, expected, "{by}: {detail}");
         if verdict == Verdict::Accepted {
             let pool = bench.database().await;
             let stored: f64 = sqlx::query_scalar(
-                "SELECT realised ->> '$.camera.elements[0]' FROM result WHERE job_id = ?",
+                "SELECT outcome ->> '$.realised.camera.elements[0]' FROM result WHERE job_id = ?",
             )
             .bind(leases[3].job_id)
             .fetch_one(&pool)
@@ -216,64 +218,58 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
     }
 }
 
+/// A result is stored as it was sent, to the last bit, and its origin with printable texts.
 #[tokio::test]
-async fn digests_and_realised_values_are_stored_with_the_result() {
+async fn a_result_is_stored_as_it_was_sent() {
     let (bench, mut worker, lease) = commit_siblings().await;
-    let mut report = worker.report(&lease, true);
-    let sent = report.provenance.as_mut().expect("provenance");
-    sent.first_frame_digest = sha("first frame");
-    let sent = sent.clone();
+    let report = worker.report_altered(&lease, true, |Measurement { result, provenance }| {
+        (result.wall_secs, result.prompt) = (0.1 + 0.2, Some("pick\nup \u{1b}".to_owned()));
+        result.ik =
+            Some(IkResidual { residual_mm: 1.0 / 3.0, residual_deg: 5e-324, clamped_joints: 1 });
+        result.digests.first_frame = sha("first frame");
+        "e\u{9b}".clone_into(&mut provenance.host);
+        let settings = &mut provenance.policy_settings;
+        settings.insert(CONNECTED_SINCE.to_owned(), "\u{1b}[2K".to_owned());
+    });
+    let printed = report.measurement.replace('\u{9b}', "\u{fffd}").replace("\\u001b[", "\u{fffd}[");
     assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     let pool = bench.database().await;
-    let stored: (String, String, String, String) = sqlx::query_as(
-        "SELECT scene_digest, init_state_digest, first_frame_digest,
-             json_group_array(axis.key) FROM result, json_each(realised) AS axis WHERE job_id = ?",
+    let stored: (String, String) = sqlx::query_as(
+        "SELECT outcome, origin FROM result r JOIN provenance v ON v.id = r.provenance_id
+         WHERE job_id = ?",
     )
     .bind(lease.job_id)
     .fetch_one(&pool)
     .await
     .expect("a result");
     pool.close().await;
-    let sent = (
-        sent.scene_digest,
-        sent.init_state_digest,
-        sent.first_frame_digest,
-        r#"["sensor"]"#.to_owned(),
-    );
-    assert_eq!(stored, sent);
+    let (outcome, origin) = stored;
+    assert_eq!(format!(r#"{{"result":{outcome},"provenance":{origin}}}"#), printed);
 }
 
+/// Wrong types, and fields that this program does not know, are named; `rollout-types` tests the
+/// bounds.
 #[tokio::test]
-async fn a_result_with_missing_or_invalid_provenance_is_refused() {
+async fn a_result_that_no_worker_of_this_protocol_sends_is_refused_by_field() {
     let (bench, mut worker, lease) = commit_siblings().await;
     let valid = worker.report(&lease, true);
-    type Alter<'a> = &'a dyn Fn(&mut wire::CommitRequest);
-    fn provenance(request: &mut wire::CommitRequest) -> &mut wire::Provenance {
-        request.provenance.as_mut().expect("provenance")
-    }
-    fn result(request: &mut wire::CommitRequest) -> &mut wire::RolloutResult {
-        request.result.as_mut().expect("a result")
-    }
-    let nan = f64::NAN;
-    let cases: [(Alter<'_>, &str); 11] = [
-        (&|request| request.provenance = None, "provenance"),
-        (&|request| request.result = None, "result"),
-        (&|request| request.attempt_id.clear(), "attempt id"),
-        (&|request| provenance(request).scene_digest.clear(), "scene_digest"),
-        (&|request| provenance(request).init_state_digest = "0".repeat(63), "SHA-256"),
-        (
-            &|request| provenance(request).realised[0].elements.push(nan),
-            "`realised` of axis `sensor`",
-        ),
-        (&|request| provenance(request).renderer.clear(), "`renderer`"),
-        (&|request| provenance(request).fingerprint.truncate(16), "`fingerprint`"),
-        (&|request| provenance(request).host = "x".repeat(1 << 20), "`host`"),
-        (&|request| result(request).wall_secs = nan, "not finite"),
-        (&|request| result(request).ik_residual_mm = Some(-1.0), "negative"),
-    ];
-    for (alter, word) in cases {
-        let mut request = valid.clone();
-        alter(&mut request);
+    let replaced = |from: &str, to: &str| {
+        let measurement = valid.measurement.replacen(from, to, 1);
+        assert_ne!(measurement, valid.measurement, "{from}");
+        wire::CommitRequest { measurement, ..valid.clone() }
+    };
+    for (request, word) in [
+        (wire::CommitRequest { measurement: String::new(), ..valid.clone() }, "`measurement`"),
+        (wire::CommitRequest { attempt_id: String::new(), ..valid.clone() }, "attempt id"),
+        (replaced("\"success\":true,", ""), "`success`"),
+        (replaced("\"steps\":120", "\"steps\":-1"), "`steps`"),
+        (replaced("\"wall_secs\":1.5", "\"wall_secs\":null"), "`wall_secs`"),
+        (replaced("\"scene\":", "\"colour\":1,\"scene\":"), "`colour`"),
+        (replaced("\"host\":", "\"hostess\":1,\"host\":"), "`hostess`"),
+        (replaced("\"sensor\":", "\"smell\":"), "smell"),
+        (replaced("\"at_end\":2", "\"at_end\":1"), "`goal`"),
+        (replaced("\"host\":\"", &format!("\"host\":\"{}", "x".repeat(1 << 20))), "`host`"),
+    ] {
         assert_refused(worker.service.commit(request).await, Code::InvalidArgument, &[word]);
     }
     assert_eq!(bench.status("paired").await.rollouts.leased, 1, "the lease is kept");
@@ -289,9 +285,9 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
         (280, 281, Verdict::Unpaired, "281 clipped actions in 280 control steps"),
     ] {
         let (bench, mut worker, lease) = commit_siblings().await;
-        let mut report = worker.report(&lease, false);
-        let result = report.result.as_mut().expect("a result");
-        (result.steps, result.clipped_actions) = (steps, clipped);
+        let report = worker.report_altered(&lease, false, |of| {
+            (of.result.steps, of.result.clipped_actions) = (steps, clipped);
+        });
         let (given, detail) = worker.commit_request(report).await;
         assert_eq!(given, verdict, "{detail}");
         assert!(detail.contains(words), "{detail}");
@@ -307,7 +303,7 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
 async fn an_unreadable_sibling_is_named_and_charges_no_attempt() {
     let (bench, _, _) = commit_siblings().await;
     let pool = bench.database().await;
-    sqlx::query("UPDATE result SET realised = '{\"camera\": 7}'")
+    sqlx::query("UPDATE result SET outcome = json_set(outcome, '$.realised.camera', 7)")
         .execute(&pool)
         .await
         .expect("altered");

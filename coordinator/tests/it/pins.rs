@@ -1,8 +1,9 @@
 //! Assets, simulator and renderer that a campaign requires of its workers, by its specification or
 //! after its first result pinned it.
 
+use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
-use proto::coordinator::{self as wire, Provenance};
+use rollout_types::Provenance;
 use serde_json::json;
 
 use crate::assertions::assert_contains;
@@ -96,9 +97,9 @@ async fn a_result_that_is_refused_pins_nothing() {
     let bench = Bench::with(&small_spec("open")).await;
     let mut worker = bench.worker_on("a", "primitives").await;
     let lease = worker.claim_one().await;
-    let mut report = worker.report(&lease, true);
-    let provenance = report.provenance.as_mut().expect("provenance");
-    "reference".clone_into(&mut provenance.realisation);
+    let report = worker.report_altered(&lease, true, |of| {
+        "reference".clone_into(&mut of.provenance.realisation);
+    });
     let (verdict, _) = worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Unpaired);
     let pinned = "SELECT count(*) FROM campaign WHERE pinned_ms IS NOT NULL";
@@ -123,17 +124,16 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         let mut worker = bench.worker_on("a", "primitives").await;
         let leases = worker.claim(3).await;
         let report = |lease: usize, replace: Replace| {
-            let mut report = worker.report(&leases[lease], true);
-            let provenance = report.provenance.as_mut().expect("provenance");
-            let settings = &mut provenance.policy_settings;
-            settings.clear();
-            if !difference.starts_with("checkpoint") {
-                for (name, value) in [("execute", "8"), ("image slots", "image=agentview")] {
-                    settings.insert(name.to_owned(), value.to_owned());
+            worker.report_altered(&leases[lease], true, |of| {
+                let settings = &mut of.provenance.policy_settings;
+                settings.clear();
+                if !difference.starts_with("checkpoint") {
+                    for (name, value) in [("execute", "8"), ("image slots", "image=agentview")] {
+                        settings.insert(name.to_owned(), value.to_owned());
+                    }
                 }
-            }
-            replace(provenance);
-            report
+                replace(&mut of.provenance);
+            })
         };
         let keep: Replace = |_| {};
         let [first, replaced, restored] = [report(0, keep), report(1, replace), report(2, keep)];
@@ -168,10 +168,12 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         let mut worker = bench.worker_on("a", "primitives").await;
         let lease = worker.claim_one().await;
         assert_eq!(lease.execution, campaign_model.unwrap_or("wait"));
-        let mut report = worker.report(&lease, true);
-        let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
-        settings.retain(|name, _| name != "execution model");
-        settings.extend(result_model.map(|model| ("execution model".to_owned(), model.to_owned())));
+        let report = worker.report_altered(&lease, true, |of| {
+            let model = result_model.map(|model| ("execution model".to_owned(), model.to_owned()));
+            let settings = &mut of.provenance.policy_settings;
+            settings.retain(|name, _| name != "execution model");
+            settings.extend(model);
+        });
         let (verdict, detail) = worker.commit_request(report).await;
         assert_eq!(verdict, expected, "{campaign_model:?} {result_model:?}: {detail}");
         if expected == Verdict::Unpaired {
@@ -196,15 +198,14 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker_on("a", "primitives").await;
     let lease = worker.claim_one().await;
-    let mut report = worker.report(&lease, true);
-    let settings = &mut report.provenance.as_mut().expect("provenance").policy_settings;
-    settings.clear();
     let worker_settings = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
     let policy_settings = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
-    settings.extend(
-        worker_settings.into_iter().chain(policy_settings).map(|name| (name, "1".to_owned())),
-    );
-    settings.insert("execution model".to_owned(), execution.to_owned());
+    let names = worker_settings.into_iter().chain(policy_settings);
+    let report = worker.report_altered(&lease, true, |of| {
+        let settings = &mut of.provenance.policy_settings;
+        *settings = names.map(|name| (name, "1".to_owned())).collect();
+        settings.insert("execution model".to_owned(), execution.to_owned());
+    });
     let (verdict, detail) = worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Accepted, "{detail}");
 }

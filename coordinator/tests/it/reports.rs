@@ -4,6 +4,7 @@ use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use report::Document;
+use rollout_types::Measurement;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
@@ -168,12 +169,12 @@ async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
     let mut worker = bench.worker_on("a", "libero").await;
     let leases = worker.claim(2).await;
     for (lease, version) in leases.iter().zip(["0.1.0", "0.2.0"]) {
-        let mut report = worker.report(lease, true);
-        let provenance = report.provenance.as_mut().expect("provenance");
-        provenance.policy_privileged = true;
-        provenance.policy_canonical_only = true;
-        provenance.program_version = version.to_owned();
-        provenance.policy_checkpoint.clear();
+        let report = worker.report_altered(lease, true, |Measurement { provenance, .. }| {
+            provenance.policy_privileged = true;
+            provenance.policy_canonical_only = true;
+            provenance.program_version = version.to_owned();
+            provenance.policy_checkpoint.clear();
+        });
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let table = report(&bench).await.table;
@@ -202,10 +203,8 @@ async fn the_report_leaves_out_other_realisation_modes_with_a_warning() {
 
     let pool = bench.database().await;
     for alter in [
-        "INSERT INTO provenance SELECT 99, host, renderer, look, fingerprint, '3.9.9', asset_pack,
-             asset_pack_digest, 'reference', policy_name, policy_checkpoint,
-             policy_checkpoint_digest, policy_privileged, policy_canonical_only,
-             policy_settings, batch_mode, program_version
+        "INSERT INTO provenance (id, origin)
+         SELECT 99, json_set(origin, '$.mujoco_version', '3.9.9', '$.realisation', 'reference')
          FROM provenance",
         "UPDATE result SET provenance_id = 99 WHERE job_id =
              (SELECT id FROM job WHERE rollout_id = 'object/t0/combination/L1/c01')",

@@ -42,15 +42,13 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
     ("UPDATE policy SET probe_attempt_id = '1'", "CHECK"),
     ("UPDATE campaign SET mujoco_version = NULL", "CHECK"),
     ("UPDATE campaign SET renderer = NULL", "CHECK"),
-    ("UPDATE provenance SET fingerprint = ''", "CHECK"),
-    ("UPDATE result SET drawing_secs = NULL", "NOT NULL"),
-    ("UPDATE result SET physics_secs = NULL", "NOT NULL"),
-    ("UPDATE result SET policy_secs = -0.5", "CHECK"),
-    ("UPDATE result SET goal_predicates = 0", "CHECK"),
-    ("UPDATE result SET goal_at_end = NULL", "NOT NULL"),
-    ("UPDATE result SET goal_at_end = 0 WHERE success", "CHECK"),
-    ("UPDATE result SET goal_at_most = 3", "CHECK"),
-    ("UPDATE result SET prompt = ''", "CHECK"),
+    ("UPDATE provenance SET origin = json_remove(origin, '$.fingerprint')", "NOT NULL"),
+    ("UPDATE provenance SET origin = 'x'", "malformed JSON"),
+    ("UPDATE result SET outcome = json_remove(outcome, '$.wall_secs')", "NOT NULL"),
+    ("UPDATE result SET outcome = json_set(outcome, '$.success', 'no')", "INTEGER"),
+    ("UPDATE result SET outcome = json_set(outcome, '$.steps', -1)", "CHECK"),
+    ("UPDATE result SET outcome = '[]'", "NOT NULL"),
+    ("UPDATE result SET success = 0", "generated column"),
     ("UPDATE worker SET cores = 0", "CHECK"),
     ("UPDATE worker SET machine = ''", "CHECK"),
     ("UPDATE job SET losses = -1", "CHECK"),
@@ -62,12 +60,9 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
     ),
     (
         "INSERT INTO result (job_id, campaign_id, attempt_id, attempt, worker_id, committed_ms,
-             success, steps, wall_secs, physics_secs, drawing_secs, policy_secs, goal_predicates,
-             goal_at_end, goal_at_most, clipped_actions, policy_queries, provenance_id,
-             scene_digest, init_state_digest, first_frame_digest, realised)
+             provenance_id, outcome)
          SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id, r.committed_ms,
-             r.success, r.steps, r.wall_secs, 0.0, 0.0, 0.0, r.goal_predicates, r.goal_at_end,
-             r.goal_at_most, 0, 0, r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}'
+             r.provenance_id, r.outcome
          FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
         "result_is_of_the_held_lease",
     ),

@@ -14,8 +14,7 @@ use crate::harness::{Bench, Worker, registration, small_spec, value, with};
 use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) {
-    let mut report = worker.report(lease, true);
-    report.result.as_mut().expect("a result").wall_secs = wall_secs;
+    let report = worker.report_altered(lease, true, |of| of.result.wall_secs = wall_secs);
     assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
 }
 

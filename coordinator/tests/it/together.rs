@@ -54,8 +54,8 @@ async fn batched_reports_each_get_their_own_verdict() {
         .map(|index| &leases[*index])
         .map(|lease| (worker.report(lease, true), Verdict::Accepted))
         .collect();
-    let mut unpaired = worker.report(&leases[3], true);
-    unpaired.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
+    let unpaired =
+        worker.report_altered(&leases[3], true, |of| of.result.digests.scene = sha("moved"));
     worker.release(&leases[9], Reason::Draining).await;
     let stale = worker.report(&leases[9], true);
     let duplicate = worker.report(&leases[0], true);
@@ -102,9 +102,9 @@ async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let (bench, worker, leases) = twelve_leases().await;
     let same_state = [&leases[0], &leases[1]];
     let requests = same_state.iter().enumerate().map(|(index, lease)| {
-        let (mut worker, mut report) = (worker.clone(), worker.report(lease, true));
-        let provenance = report.provenance.as_mut().expect("provenance");
-        provenance.scene_digest = sha(&format!("scene {index}"));
+        let scene = sha(&format!("scene {index}"));
+        let report = worker.report_altered(lease, true, |of| of.result.digests.scene = scene);
+        let mut worker = worker.clone();
         async move { worker.commit_request(report).await.0 }
     });
     let mut verdicts = send_in_one_batch(&bench, requests.collect()).await;

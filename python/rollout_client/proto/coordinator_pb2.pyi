@@ -129,16 +129,14 @@ class HeartbeatResponse(_message.Message):
     def __init__(self, lost_attempts: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class CommitRequest(_message.Message):
-    __slots__ = ("attempt_id", "result", "provenance", "motion")
+    __slots__ = ("attempt_id", "measurement", "motion")
     ATTEMPT_ID_FIELD_NUMBER: _ClassVar[int]
-    RESULT_FIELD_NUMBER: _ClassVar[int]
-    PROVENANCE_FIELD_NUMBER: _ClassVar[int]
+    MEASUREMENT_FIELD_NUMBER: _ClassVar[int]
     MOTION_FIELD_NUMBER: _ClassVar[int]
     attempt_id: str
-    result: RolloutResult
-    provenance: Provenance
+    measurement: str
     motion: Motion
-    def __init__(self, attempt_id: _Optional[str] = ..., result: _Optional[_Union[RolloutResult, _Mapping]] = ..., provenance: _Optional[_Union[Provenance, _Mapping]] = ..., motion: _Optional[_Union[Motion, _Mapping]] = ...) -> None: ...
+    def __init__(self, attempt_id: _Optional[str] = ..., measurement: _Optional[str] = ..., motion: _Optional[_Union[Motion, _Mapping]] = ...) -> None: ...
 
 class Motion(_message.Message):
     __slots__ = ("path", "actions")
@@ -147,32 +145,6 @@ class Motion(_message.Message):
     path: bytes
     actions: bytes
     def __init__(self, path: _Optional[bytes] = ..., actions: _Optional[bytes] = ...) -> None: ...
-
-class RolloutResult(_message.Message):
-    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries", "parts", "goal", "prompt")
-    SUCCESS_FIELD_NUMBER: _ClassVar[int]
-    STEPS_FIELD_NUMBER: _ClassVar[int]
-    WALL_SECS_FIELD_NUMBER: _ClassVar[int]
-    IK_RESIDUAL_MM_FIELD_NUMBER: _ClassVar[int]
-    IK_RESIDUAL_DEG_FIELD_NUMBER: _ClassVar[int]
-    IK_CLAMPED_JOINTS_FIELD_NUMBER: _ClassVar[int]
-    CLIPPED_ACTIONS_FIELD_NUMBER: _ClassVar[int]
-    POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
-    PARTS_FIELD_NUMBER: _ClassVar[int]
-    GOAL_FIELD_NUMBER: _ClassVar[int]
-    PROMPT_FIELD_NUMBER: _ClassVar[int]
-    success: bool
-    steps: int
-    wall_secs: float
-    ik_residual_mm: float
-    ik_residual_deg: float
-    ik_clamped_joints: int
-    clipped_actions: int
-    policy_queries: int
-    parts: Parts
-    goal: GoalProgress
-    prompt: str
-    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ..., parts: _Optional[_Union[Parts, _Mapping]] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ...) -> None: ...
 
 class GoalProgress(_message.Message):
     __slots__ = ("predicates", "at_end", "at_most")
@@ -183,77 +155,6 @@ class GoalProgress(_message.Message):
     at_end: int
     at_most: int
     def __init__(self, predicates: _Optional[int] = ..., at_end: _Optional[int] = ..., at_most: _Optional[int] = ...) -> None: ...
-
-class Parts(_message.Message):
-    __slots__ = ("physics_secs", "drawing_secs", "policy_secs")
-    PHYSICS_SECS_FIELD_NUMBER: _ClassVar[int]
-    DRAWING_SECS_FIELD_NUMBER: _ClassVar[int]
-    POLICY_SECS_FIELD_NUMBER: _ClassVar[int]
-    physics_secs: float
-    drawing_secs: float
-    policy_secs: float
-    def __init__(self, physics_secs: _Optional[float] = ..., drawing_secs: _Optional[float] = ..., policy_secs: _Optional[float] = ...) -> None: ...
-
-class Provenance(_message.Message):
-    __slots__ = ("host", "renderer", "mujoco_version", "asset_pack", "asset_pack_digest", "scene_digest", "init_state_digest", "first_frame_digest", "realised", "realisation", "policy_name", "policy_checkpoint", "policy_checkpoint_digest", "policy_privileged", "batch_mode", "program_version", "policy_canonical_only", "fingerprint", "policy_settings", "look")
-    class PolicySettingsEntry(_message.Message):
-        __slots__ = ("key", "value")
-        KEY_FIELD_NUMBER: _ClassVar[int]
-        VALUE_FIELD_NUMBER: _ClassVar[int]
-        key: str
-        value: str
-        def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
-    HOST_FIELD_NUMBER: _ClassVar[int]
-    RENDERER_FIELD_NUMBER: _ClassVar[int]
-    MUJOCO_VERSION_FIELD_NUMBER: _ClassVar[int]
-    ASSET_PACK_FIELD_NUMBER: _ClassVar[int]
-    ASSET_PACK_DIGEST_FIELD_NUMBER: _ClassVar[int]
-    SCENE_DIGEST_FIELD_NUMBER: _ClassVar[int]
-    INIT_STATE_DIGEST_FIELD_NUMBER: _ClassVar[int]
-    FIRST_FRAME_DIGEST_FIELD_NUMBER: _ClassVar[int]
-    REALISED_FIELD_NUMBER: _ClassVar[int]
-    REALISATION_FIELD_NUMBER: _ClassVar[int]
-    POLICY_NAME_FIELD_NUMBER: _ClassVar[int]
-    POLICY_CHECKPOINT_FIELD_NUMBER: _ClassVar[int]
-    POLICY_CHECKPOINT_DIGEST_FIELD_NUMBER: _ClassVar[int]
-    POLICY_PRIVILEGED_FIELD_NUMBER: _ClassVar[int]
-    BATCH_MODE_FIELD_NUMBER: _ClassVar[int]
-    PROGRAM_VERSION_FIELD_NUMBER: _ClassVar[int]
-    POLICY_CANONICAL_ONLY_FIELD_NUMBER: _ClassVar[int]
-    FINGERPRINT_FIELD_NUMBER: _ClassVar[int]
-    POLICY_SETTINGS_FIELD_NUMBER: _ClassVar[int]
-    LOOK_FIELD_NUMBER: _ClassVar[int]
-    host: str
-    renderer: str
-    mujoco_version: str
-    asset_pack: str
-    asset_pack_digest: str
-    scene_digest: str
-    init_state_digest: str
-    first_frame_digest: str
-    realised: _containers.RepeatedCompositeFieldContainer[RealisedAxis]
-    realisation: str
-    policy_name: str
-    policy_checkpoint: str
-    policy_checkpoint_digest: str
-    policy_privileged: bool
-    batch_mode: str
-    program_version: str
-    policy_canonical_only: bool
-    fingerprint: str
-    policy_settings: _containers.ScalarMap[str, str]
-    look: str
-    def __init__(self, host: _Optional[str] = ..., renderer: _Optional[str] = ..., mujoco_version: _Optional[str] = ..., asset_pack: _Optional[str] = ..., asset_pack_digest: _Optional[str] = ..., scene_digest: _Optional[str] = ..., init_state_digest: _Optional[str] = ..., first_frame_digest: _Optional[str] = ..., realised: _Optional[_Iterable[_Union[RealisedAxis, _Mapping]]] = ..., realisation: _Optional[str] = ..., policy_name: _Optional[str] = ..., policy_checkpoint: _Optional[str] = ..., policy_checkpoint_digest: _Optional[str] = ..., policy_privileged: bool = ..., batch_mode: _Optional[str] = ..., program_version: _Optional[str] = ..., policy_canonical_only: bool = ..., fingerprint: _Optional[str] = ..., policy_settings: _Optional[_Mapping[str, str]] = ..., look: _Optional[str] = ...) -> None: ...
-
-class RealisedAxis(_message.Message):
-    __slots__ = ("axis", "parameters", "elements")
-    AXIS_FIELD_NUMBER: _ClassVar[int]
-    PARAMETERS_FIELD_NUMBER: _ClassVar[int]
-    ELEMENTS_FIELD_NUMBER: _ClassVar[int]
-    axis: str
-    parameters: _containers.RepeatedScalarFieldContainer[float]
-    elements: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, axis: _Optional[str] = ..., parameters: _Optional[_Iterable[float]] = ..., elements: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class CommitResponse(_message.Message):
     __slots__ = ("verdict", "detail")

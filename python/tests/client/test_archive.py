@@ -158,3 +158,11 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
     """
     rewrite(file, bad, sql=endless)
     refused(bad, "archive the campaign again")
+    # SQLite would fill the memory with these bytes when they are read.
+    generated = """
+        ALTER TABLE motion RENAME TO former;
+        CREATE TABLE motion (job_id INTEGER, path AS (zeroblob(900000000)), actions BLOB);
+        INSERT INTO motion (job_id) SELECT job_id FROM former;
+    """
+    rewrite(file, bad, sql=generated)
+    refused(bad, "table motion does not store path")

@@ -16,12 +16,14 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{process, thread};
 
-use rollout_types::{AttemptId, GoalProgress, Motion, Parts, Realised, RolloutResult};
+use rollout_types::{
+    AttemptId, Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+};
 use sha2::{Digest, Sha256};
 use transport::Access;
 use worker::actor::{Actor, PolicyError};
 use worker::message::{
-    Assignment, Evidence, Failure, FailureKind, Finished, RolloutEvent, SlotCommand, SlotEvent,
+    Assignment, Failure, FailureKind, Finished, RolloutEvent, SlotCommand, SlotEvent,
 };
 use worker::parent::Parent;
 use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
@@ -147,21 +149,21 @@ fn play(
             success,
             steps: (20 + u32::from(hash[1])).min(row.max_steps),
             wall_secs: started.elapsed().as_secs_f64(),
-            ik: None,
-            clipped_actions: 0,
             policy_queries: STEPS / STEPS_PER_QUERY,
             parts,
             goal: GoalProgress { predicates: 1, at_end: success.into(), at_most: success.into() },
-            prompt: None,
-        },
-        evidence: Evidence {
-            renderer: RENDERER.to_owned(),
-            fingerprint: digest(RENDERER),
-            look: libero_ctrl::Look::default(),
-            scene_digest: digest(&row.id.task().to_string()),
-            init_state_digest: digest(&format!("{} {}", row.id.task(), row.init_id)),
+            digests: Digests {
+                scene: digest(&row.id.task().to_string()),
+                init_state: digest(&format!("{} {}", row.id.task(), row.init_id)),
+                first_frame: String::new(),
+            },
             realised: realised(assignment),
-            first_frame_digest: String::new(),
+            ..RolloutResult::default()
+        },
+        provenance: Provenance {
+            pin: Pin { renderer: RENDERER.to_owned(), ..Pin::default() },
+            fingerprint: digest(RENDERER),
+            realisation: assignment.realisation.to_string(),
             policy_name: about.name,
             policy_checkpoint: about.checkpoint,
             policy_checkpoint_digest: about.checkpoint_digest,
@@ -170,6 +172,7 @@ fn play(
                 == i32::from(proto::policy::Language::CanonicalOnly),
             policy_settings: [("execute".to_owned(), about.execute.to_string())].into(),
             batch_mode: "single".to_owned(),
+            ..Provenance::default()
         },
         motion: Motion::pack(&path(&hash), &[]),
         is_filmed_next: false,

@@ -44,7 +44,7 @@ fn results(data: &Path) -> String {
             SqliteConnectOptions::new().filename(data.join("coordinator.sqlite")).read_only(true);
         let mut database = SqliteConnection::connect_with(&options).await.unwrap();
         let rows = sqlx::query_as(
-            "SELECT j.rollout_id, r.success, r.steps, r.first_frame_digest
+            "SELECT j.rollout_id, r.success, r.steps, r.outcome ->> '$.digests.first_frame'
              FROM result r JOIN job j ON j.id = r.job_id ORDER BY j.rollout_id",
         );
         rows.fetch_all(&mut database).await.unwrap()

@@ -1,20 +1,16 @@
 //! Reports the end of a rollout to the coordinator: its result with the provenance, or the reason
 //! why it has no result. Builds the messages, and logs the coordinator's answers.
 
-use libero_ctrl::Realisation;
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
 use proto::coordinator::release_response::Verdict as ReleaseVerdict;
-use proto::coordinator::{
-    self as wire, CommitRequest, CommitResponse, Motion, Provenance, ReleaseRequest,
-    ReleaseResponse,
-};
-use rollout_types::{AttemptId, RealisedAxis, RolloutResult};
+use proto::coordinator::{CommitRequest, CommitResponse, Motion, ReleaseRequest, ReleaseResponse};
+use rollout_types::{AttemptId, Measurement, Pin, Provenance};
 use tonic::Status;
 use transport::chain;
 
 use super::config::Identity;
 use super::link::Link;
-use crate::message::{Evidence, Failure, Finished};
+use crate::message::{Failure, Finished};
 
 /// Outcome of a rollout.
 #[derive(Debug)]
@@ -31,7 +27,6 @@ pub(crate) struct Delivery {
     pub(crate) attempt: AttemptId,
     /// Name of the rollout in messages.
     pub(crate) label: String,
-    pub(crate) realisation: Realisation,
     pub(crate) identity: Identity,
     pub(crate) ending: Ending,
 }
@@ -139,75 +134,21 @@ pub(crate) async fn deliver(link: &Link, delivery: Delivery) -> Answer {
             answer.map_or_else(Answer::Refused, Answer::Released)
         }
         Ending::Finished(finished) => {
+            let Finished { result, provenance, motion, .. } = *finished;
+            let Identity { host, asset_pack, asset_pack_digest, mujoco_version, .. } =
+                delivery.identity;
+            let pin = Pin { asset_pack, asset_pack_digest, mujoco_version, ..provenance.pin };
+            let program_version = env!("CARGO_PKG_VERSION").to_owned();
+            let provenance = Provenance { host, pin, program_version, ..provenance };
+            let measurement = Measurement { result, provenance };
             let request = CommitRequest {
                 attempt_id,
-                result: Some(result(&finished.result)),
-                provenance: Some(provenance(
-                    finished.evidence,
-                    delivery.identity,
-                    delivery.realisation,
-                )),
-                motion: Some(Motion {
-                    path: finished.motion.path,
-                    actions: finished.motion.actions,
-                }),
+                measurement: serde_json::to_string(&measurement)
+                    .expect("numbers and text are JSON"),
+                motion: Some(Motion { path: motion.path, actions: motion.actions }),
             };
             let answer = link.commit(request).await;
             answer.map_or_else(Answer::Refused, Answer::Committed)
         }
-    }
-}
-
-fn result(result: &RolloutResult) -> wire::RolloutResult {
-    let ik = result.ik;
-    wire::RolloutResult {
-        success: result.success,
-        steps: result.steps,
-        wall_secs: result.wall_secs,
-        ik_residual_mm: ik.map(|ik| ik.residual_mm),
-        ik_residual_deg: ik.map(|ik| ik.residual_deg),
-        ik_clamped_joints: ik.map(|ik| ik.clamped_joints),
-        clipped_actions: result.clipped_actions,
-        policy_queries: result.policy_queries,
-        parts: Some(wire::Parts {
-            physics_secs: result.parts.physics_secs,
-            drawing_secs: result.parts.drawing_secs,
-            policy_secs: result.parts.policy_secs,
-        }),
-        prompt: result.prompt.clone().unwrap_or_default(),
-        goal: Some(wire::GoalProgress {
-            predicates: result.goal.predicates,
-            at_end: result.goal.at_end,
-            at_most: result.goal.at_most,
-        }),
-    }
-}
-
-fn provenance(evidence: Evidence, identity: Identity, realisation: Realisation) -> Provenance {
-    let realised = evidence.realised.axes().map(|(axis, realised)| {
-        let RealisedAxis { parameters, elements } = realised.clone();
-        wire::RealisedAxis { axis: axis.to_string(), parameters, elements }
-    });
-    Provenance {
-        realised: realised.collect(),
-        host: identity.host,
-        renderer: evidence.renderer,
-        fingerprint: evidence.fingerprint,
-        mujoco_version: identity.mujoco_version,
-        asset_pack: identity.asset_pack,
-        asset_pack_digest: identity.asset_pack_digest,
-        scene_digest: evidence.scene_digest,
-        init_state_digest: evidence.init_state_digest,
-        first_frame_digest: evidence.first_frame_digest,
-        realisation: realisation.to_string(),
-        policy_name: evidence.policy_name,
-        policy_checkpoint: evidence.policy_checkpoint,
-        policy_checkpoint_digest: evidence.policy_checkpoint_digest,
-        policy_privileged: evidence.policy_privileged,
-        policy_canonical_only: evidence.policy_canonical_only,
-        policy_settings: evidence.policy_settings,
-        batch_mode: evidence.batch_mode,
-        program_version: env!("CARGO_PKG_VERSION").to_owned(),
-        look: evidence.look.to_string(),
     }
 }

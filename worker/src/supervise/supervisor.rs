@@ -465,14 +465,7 @@ impl Supervisor {
     }
 
     fn send_delivery(&mut self, slot: usize, attempt: AttemptId, label: String, ending: Ending) {
-        let assignment = self.slots[slot].assignment.as_ref();
-        let delivery = Delivery {
-            attempt,
-            label,
-            realisation: assignment.map(|job| job.realisation).unwrap_or_default(),
-            identity: self.config.identity.clone(),
-            ending,
-        };
+        let delivery = Delivery { attempt, label, identity: self.config.identity.clone(), ending };
         delivery.log();
         let label = delivery.label.clone();
         let (link, events) = (self.link.clone(), self.events.clone());

@@ -39,7 +39,7 @@ async fn a_drain_finishes_the_running_rollout_and_starts_no_other() {
     }
     worker.signal("TERM");
     let result = coordinator.message(1).await.commit().result;
-    assert_eq!(result.expect("a result").steps, 80);
+    assert_eq!(result.steps, 80);
     let log = worker.ended();
     // Log lines name their campaign, since one worker may serve several.
     assert!(log.contains(" test: object/t0/clean/i03"), "{log}");
@@ -80,7 +80,7 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     let idle = ["--idle-secs", "1"];
     let (worker, coordinator, _policy) = busy_worker_with(&idle).await;
     let result = coordinator.message(1).await.commit().result;
-    assert_eq!(result.expect("a result").steps, 80);
+    assert_eq!(result.steps, 80);
     let log = worker.ended();
     assert!(log.contains("no work for 1 s"), "{log}");
     assert_eq!(coordinator.signed_off().len(), 1, "the worker signed off once");

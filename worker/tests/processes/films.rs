@@ -34,7 +34,7 @@ async fn film_of(coordinator: &ScriptedCoordinator, mut job_lease: Lease) -> Fil
     if has_video {
         coordinator.message(2).await;
     }
-    let motion = commit.motion.expect("a motion");
+    let motion = commit.motion;
     assert_eq!(motion.path.len(), (MAX_STEPS as usize + 1) * POINT_BYTES);
     assert_eq!(motion.actions.len(), MAX_STEPS as usize * ACTION_BYTES);
     Film {
@@ -44,7 +44,7 @@ async fn film_of(coordinator: &ScriptedCoordinator, mut job_lease: Lease) -> Fil
         manifest_row: job_lease.manifest_row,
         realisation: job_lease.realisation,
         actions: motion.actions,
-        success: commit.result.expect("a result").success,
+        success: commit.result.success,
     }
 }
 

@@ -2,6 +2,7 @@
 
 use libero_ctrl::ManifestRow;
 use proto::coordinator::release_request::Reason;
+use rollout_types::{GoalProgress, Realised};
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
@@ -23,30 +24,20 @@ async fn a_result_carries_its_provenance() {
     let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
 
-    let result = commit.result.expect("a result");
+    let (result, provenance) = (commit.result, commit.provenance);
     assert_eq!((result.success, result.steps), (false, MAX_STEPS));
     assert_eq!(result.policy_queries, MAX_STEPS / HORIZON);
-    assert_eq!((result.clipped_actions, result.ik_residual_mm), (0, None));
-    let goal = result.goal.expect("a goal");
-    assert_eq!((goal.predicates, goal.at_end, goal.at_most), (1, 0, 0));
-
-    let provenance = commit.provenance.expect("a provenance");
-    for digest in [
-        &provenance.asset_pack_digest,
-        &provenance.scene_digest,
-        &provenance.init_state_digest,
-        &provenance.first_frame_digest,
-    ] {
-        assert_eq!(digest.len(), 64, "{provenance:#?}");
-    }
-    assert_eq!(provenance.realised, []);
-    assert_eq!(provenance.asset_pack, "primitives");
-    assert_eq!(provenance.mujoco_version, "3.3.7");
+    assert_eq!((result.clipped_actions, result.ik), (0, None));
+    assert_eq!(result.goal, GoalProgress { predicates: 1, at_end: 0, at_most: 0 });
+    assert_eq!(result.digests.first_frame.len(), 64, "{result:#?}");
+    assert_eq!(result.realised, Realised::default());
+    let pin = &provenance.pin;
+    assert_eq!(pin.asset_pack, "primitives");
+    assert_eq!(pin.asset_pack_digest, registered.asset_pack_digest);
+    assert_eq!(pin.mujoco_version, "3.3.7");
     assert_eq!(provenance.policy_name, "observing");
     assert_eq!(provenance.policy_checkpoint, "scripted");
-    assert!(!provenance.renderer.is_empty());
-    assert_eq!(provenance.renderer, registered.renderer);
-    assert_eq!(provenance.fingerprint.len(), 64, "{provenance:#?}");
+    assert_eq!((&pin.renderer, &provenance.host), (&registered.renderer, &registered.host));
     assert!(!provenance.policy_privileged);
     assert_eq!(provenance.batch_mode, "single");
     assert_eq!(provenance.realisation, "matched");
@@ -125,7 +116,7 @@ async fn actions_beyond_the_range_are_clipped_and_counted() {
     coordinator.lease(lease(1, "wild", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
     let result = coordinator.message(1).await.commit().result;
-    assert_eq!(result.expect("a result").clipped_actions, MAX_STEPS);
+    assert_eq!(result.clipped_actions, MAX_STEPS);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -139,14 +130,12 @@ async fn a_rollout_without_frames_names_its_slots_renderer_too() {
         coordinator.lease(lease(job, name, &policy.url()));
     }
     let _worker = WorkerProcess::start(&coordinator.url());
-    let without_frames = coordinator.message(1).await.commit().provenance;
-    let observing = coordinator.message(2).await.commit().provenance;
-    let without_frames = without_frames.expect("a provenance");
-    let observing = observing.expect("a provenance");
-    assert_eq!(without_frames.first_frame_digest, "");
-    assert_eq!(observing.first_frame_digest.len(), 64);
-    assert!(!without_frames.renderer.is_empty());
-    assert_eq!(without_frames.renderer, observing.renderer);
+    let without_frames = coordinator.message(1).await.commit();
+    let observing = coordinator.message(2).await.commit();
+    assert_eq!(without_frames.result.digests.first_frame, "");
+    assert_eq!(observing.result.digests.first_frame.len(), 64);
+    let (without_frames, observing) = (without_frames.provenance, observing.provenance);
+    assert_eq!(without_frames.pin.renderer, observing.pin.renderer);
     assert_eq!(without_frames.fingerprint, observing.fingerprint);
 }
 
@@ -161,9 +150,10 @@ async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
         coordinator.lease(lease(job, "observing", &policy.url()));
     }
     let _worker = WorkerProcess::start(&coordinator.url());
-    let first = coordinator.message(1).await.commit().provenance;
-    let second = coordinator.message(2).await.commit().provenance;
-    assert_eq!(first, second);
+    let [first, second] = [coordinator.message(1).await, coordinator.message(2).await];
+    let [first, second] = [first.commit(), second.commit()];
+    assert_eq!(first.provenance, second.provenance);
+    assert_eq!(first.result.digests, second.result.digests);
     let received = policy.received.lock().expect("unpoisoned");
     let (first, second) = received.queries.split_at(received.queries.len() / 2);
     for (first, second) in first.iter().zip(second) {
@@ -223,7 +213,7 @@ async fn worker_rollout_writes_its_result_and_frames() {
     let result = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 220);
-    let realised = &result["finished"]["evidence"]["realised"]["sensor"];
+    let realised = &result["finished"]["outcome"]["realised"]["sensor"];
     assert!(realised["parameters"].is_array(), "{result}");
     for picture in ["query-000-agentview.png", "query-027-robot0_eye_in_hand.png"] {
         let picture = image::open(folder.path().join("frames").join(picture)).expect(picture);
@@ -257,8 +247,8 @@ fn a_replay_without_pictures_opens_no_renderer() {
     let result = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 3);
-    let evidence = &result["finished"]["evidence"];
-    assert_eq!((&evidence["renderer"], &evidence["fingerprint"]), (&"".into(), &"".into()));
+    let provenance = &result["finished"]["provenance"];
+    assert_eq!((&provenance["renderer"], &provenance["fingerprint"]), (&"".into(), &"".into()));
 }
 
 /// A row that this version cannot read comes from another version. The attempt is released with the

@@ -9,10 +9,12 @@ use std::time::Duration;
 use proto::coordinator::worker_service_server::{WorkerService, WorkerServiceServer};
 use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, Film,
-    HeartbeatRequest, HeartbeatResponse, Lease, NextFilmRequest, NextFilmResponse, Progress,
-    PutArtifactResponse, RegisterRequest, RegisterResponse, ReleaseRequest, ReleaseResponse,
-    SignOffRequest, SignOffResponse, commit_response, release_request, release_response,
+    HeartbeatRequest, HeartbeatResponse, Lease, Motion, NextFilmRequest, NextFilmResponse,
+    Progress, PutArtifactResponse, RegisterRequest, RegisterResponse, ReleaseRequest,
+    ReleaseResponse, SignOffRequest, SignOffResponse, commit_response, release_request,
+    release_response,
 };
+use rollout_types::{Measurement, Provenance, RolloutResult};
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 use tokio::sync::watch;
@@ -35,10 +37,25 @@ pub(crate) enum WorkerMessage {
     Released(Box<ReleaseRequest>),
 }
 
+/// A result as the worker sent it.
+pub(crate) struct Commit {
+    pub(crate) attempt_id: String,
+    pub(crate) result: RolloutResult,
+    pub(crate) provenance: Provenance,
+    pub(crate) motion: Motion,
+}
+
 impl WorkerMessage {
-    pub(crate) fn commit(self) -> CommitRequest {
+    pub(crate) fn commit(self) -> Commit {
         match self {
-            Self::Committed(commit) => *commit,
+            Self::Committed(commit) => {
+                let CommitRequest { attempt_id, measurement, motion } = *commit;
+                let Measurement { result, provenance } =
+                    serde_json::from_str(&measurement).expect("a result");
+                let problem = result.problem().or_else(|| provenance.problem());
+                assert_eq!(problem, None, "{measurement}");
+                Commit { attempt_id, result, provenance, motion: motion.expect("a motion") }
+            }
             unexpected => panic!("expected a commit, got {unexpected:?}"),
         }
     }

@@ -18,7 +18,7 @@ use queue::{
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
 use rollout_types::{
-    AttemptId, Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
+    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
 };
 use serde_json::json;
 
@@ -265,32 +265,34 @@ fn report(attempt: AttemptId, success: bool) -> CommitReport {
     CommitReport {
         attempt,
         motion: Motion::default(),
-        realised: Realised::default(),
-        result: RolloutResult {
-            success,
-            steps: 9,
-            wall_secs: 1.0,
-            ik: None,
-            clipped_actions: 0,
-            policy_queries: 1,
-            parts: Parts::default(),
-            goal: GoalProgress { predicates: 1, at_end: success.into(), at_most: success.into() },
-            prompt: None,
-        },
-        provenance: Provenance {
-            host: "bench".to_owned(),
-            pin: pin(),
-            fingerprint: sha("bits"),
-            realisation: "matched".to_owned(),
-            policy_name: "expert".to_owned(),
-            policy_privileged: true,
-            program_version: "0.1.0".to_owned(),
-            ..Provenance::default()
-        },
-        digests: Digests {
-            scene: sha("scene"),
-            init_state: sha("state"),
-            first_frame: String::new(),
+        measurement: Measurement {
+            result: RolloutResult {
+                success,
+                steps: 9,
+                wall_secs: 1.0,
+                policy_queries: 1,
+                goal: GoalProgress {
+                    predicates: 1,
+                    at_end: success.into(),
+                    at_most: success.into(),
+                },
+                digests: Digests {
+                    scene: sha("scene"),
+                    init_state: sha("state"),
+                    first_frame: String::new(),
+                },
+                ..RolloutResult::default()
+            },
+            provenance: Provenance {
+                host: "bench".to_owned(),
+                pin: pin(),
+                fingerprint: sha("bits"),
+                realisation: "matched".to_owned(),
+                policy_name: "expert".to_owned(),
+                policy_privileged: true,
+                program_version: "0.1.0".to_owned(),
+                ..Provenance::default()
+            },
         },
     }
 }

@@ -128,7 +128,7 @@ pub struct Setups {
 }
 
 /// Counts of executed actions with a component outside [-1, 1].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BeyondRange {
     pub actions: u64,
     pub of_actions: u64,

@@ -3,12 +3,15 @@
 
 use std::fmt;
 
+use libero_ctrl::JsonError;
 use serde::{Deserialize, Serialize};
 
 /// Longest name of a campaign, bytes. A campaign's name is also the name of a folder.
 pub const MAX_CAMPAIGN_NAME_BYTES: usize = 80;
 /// Longest worker id, bytes.
 pub const MAX_WORKER_ID_BYTES: usize = 128;
+/// Longest problem of a JSON text in a message, bytes.
+const MAX_PROBLEM_BYTES: usize = 200;
 
 /// Row number of a campaign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, sqlx_macros::Type)]
@@ -148,6 +151,11 @@ impl fmt::Display for JobName {
 pub fn shortened(text: &str, max_bytes: usize) -> &str {
     let end = (0..=max_bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end));
     &text[..end.unwrap_or(0)]
+}
+
+/// Returns the problem of a JSON text, shortened, since the parser may quote the text.
+pub fn json_problem(error: serde_json::Error) -> String {
+    shortened(JsonError::from(error).problem(), MAX_PROBLEM_BYTES).to_owned()
 }
 
 #[cfg(test)]

@@ -4,9 +4,12 @@
 
 use std::path::{Path, PathBuf};
 
+use futures_util::TryStreamExt;
+use rollout_types::{Provenance, RolloutResult};
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 
+use crate::ids::json_problem;
 use crate::store::{self, DATABASE_FILE};
 
 /// Violations of one invariant that are described; further ones are only counted.
@@ -49,6 +52,9 @@ pub enum CheckError {
 
 /// Name of the invariant that a database violates if its schema differs from this program's.
 pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
+
+/// Name of the invariant that a database violates if a result or a provenance cannot be a worker's.
+const RESULTS_INVARIANT: &str = "results_fit_their_rows";
 
 /// All invariants, in the order in which they are checked. Queries may use `known_schema`, a
 /// temporary table that holds this program's schema.
@@ -223,39 +229,32 @@ pub const INVARIANTS: [Invariant; 20] = [
              OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
              OR p.look IS NOT c.look OR p.renderer IS NOT c.renderer",
     },
-    // A result is within the step budget of its job, and its numbers are within the bounds of
-    // a worker's report.
+    // A result is within the step budget of its job, and its generated columns are those of its
+    // outcome, which an edited file need not keep. `unreadable` checks the rest of the outcome.
     Invariant {
-        name: "results_fit_their_rows",
-        query: "SELECT format('the result of job %d has %d control steps, %d of them clipped, and '
-             || '%d queries in %s s, of at most %s steps', r.job_id, r.steps, r.clipped_actions,
-             r.policy_queries, r.wall_secs, j.manifest_row ->> 'max_steps')
+        name: RESULTS_INVARIANT,
+        query: "SELECT format('the result of job %d has %d control steps, %d of them clipped, in '
+             || '%s s, of at most %s steps', r.job_id, r.steps, r.outcome ->> 'clipped_actions',
+             r.wall_secs, j.manifest_row ->> 'max_steps')
          FROM result r JOIN job j ON j.id = r.job_id
          WHERE r.steps > coalesce(j.manifest_row ->> 'max_steps', r.steps)
-             OR r.clipped_actions > r.steps
-             OR max(r.steps, r.policy_queries, coalesce(r.ik_clamped_joints, 0),
-                 r.goal_predicates) > 4294967295
-             OR max(r.wall_secs, coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
-                 r.physics_secs, r.drawing_secs, r.policy_secs) > 1e9
-             OR min(coalesce(r.ik_residual_mm, 0), coalesce(r.ik_residual_deg, 0),
-                 coalesce(r.ik_clamped_joints, 0)) < 0
-         UNION ALL
-         SELECT format('divergence %d of job %d has %d control steps in %s s', id, job_id, steps,
-             wall_secs)
-         FROM divergence WHERE steps > 4294967295 OR wall_secs > 1e9",
+             OR r.outcome ->> 'clipped_actions' > r.steps
+             OR r.success IS NOT r.outcome ->> 'success' OR r.steps IS NOT r.outcome ->> 'steps'
+             OR r.wall_secs IS NOT r.outcome ->> 'wall_secs'",
     },
     // The results of one initial state agree on scene and initial state. Rollouts of LIBERO's
     // family and of suite files, whose ids have a colon, have scenes and states of their own.
     Invariant {
         name: "configurations_agree",
         query: "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '
-             || 'states', j.init_id, j.task, c.name, count(DISTINCT r.scene_digest),
-             count(DISTINCT r.init_state_digest))
+             || 'states', j.init_id, j.task, c.name,
+             count(DISTINCT r.outcome ->> '$.digests.scene'),
+             count(DISTINCT r.outcome ->> '$.digests.init_state'))
          FROM result r JOIN job j ON j.id = r.job_id JOIN campaign c ON c.id = j.campaign_id
          WHERE instr(j.rollout_id, ':') = 0
          GROUP BY c.id, j.task, j.init_id
-         HAVING count(DISTINCT r.scene_digest) > 1
-             OR count(DISTINCT r.init_state_digest) > 1",
+         HAVING count(DISTINCT r.outcome ->> '$.digests.scene') > 1
+             OR count(DISTINCT r.outcome ->> '$.digests.init_state') > 1",
     },
     // A divergent outcome differs from the committed one.
     Invariant {
@@ -314,7 +313,10 @@ pub(crate) async fn violations(
     let mut view = connection.begin().await?;
     let mut violations = Vec::new();
     for Invariant { name, query } in INVARIANTS {
-        let rows: Vec<String> = sqlx::query_scalar(query).fetch_all(&mut *view).await?;
+        let mut rows: Vec<String> = sqlx::query_scalar(query).fetch_all(&mut *view).await?;
+        if name == RESULTS_INVARIANT {
+            rows.extend(unreadable(&mut view).await?);
+        }
         if !rows.is_empty() {
             violations.push(Violation {
                 invariant: name,
@@ -324,4 +326,23 @@ pub(crate) async fn violations(
         }
     }
     Ok(violations)
+}
+
+/// Describes the outcomes and origins that no worker can have reported.
+async fn unreadable(view: &mut SqliteConnection) -> Result<Vec<String>, sqlx::Error> {
+    let stored = sqlx::query_as(
+        "SELECT 'the result of job ' || job_id, outcome, 1 FROM result
+         UNION ALL SELECT format('divergence %d of job %d', id, job_id), outcome, 1 FROM divergence
+         UNION ALL SELECT 'provenance ' || id, origin, 0 FROM provenance",
+    );
+    let described = stored.fetch(view).try_filter_map(async |row: (String, String, bool)| {
+        let (name, json, is_outcome) = row;
+        let problem = match is_outcome {
+            true => RolloutResult::from_json(&json).map(|read| read.problem()),
+            false => serde_json::from_str(&json).map(|read: Provenance| read.problem()),
+        };
+        let problem = problem.unwrap_or_else(|error| Some(json_problem(error)));
+        Ok(problem.map(|problem| format!("{name}: {problem}")))
+    });
+    described.try_collect().await
 }

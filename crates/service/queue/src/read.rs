@@ -35,6 +35,7 @@ use crate::timing::Timing;
 
 pub use crate::store::campaigns::Campaign;
 pub use crate::store::outcomes::OutcomeRow;
+pub use crate::store::results::StoredResult;
 pub use crate::store::stops::EarlyStop;
 pub use campaigns::{CampaignStatus, Counts, RATE_WINDOW, Stage};
 pub use changes::{Changes, Sizes};

@@ -1,6 +1,6 @@
 //! Data types shared by the coordinator, the workers and the report: ids, results and provenance of
-//! attempts at a rollout, and retry back-off. Storage, wire protocol and report convert from and to
-//! them at their own boundaries.
+//! attempts at a rollout, and retry back-off. A result and its provenance are the same JSON in the
+//! slot's messages, on the wire and in the database.
 
 #![forbid(unsafe_code)]
 
@@ -13,8 +13,10 @@ mod result;
 pub use backoff::{Backoff, Waits};
 pub use id::{AttemptId, AttemptIdError};
 pub use provenance::{
-    CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, Pin, Provenance, SOFTWARE_RENDERER,
-    TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT, first_names,
+    CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, MAX_SETTINGS, MAX_TEXT_BYTES, Pin,
+    Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT, first_names,
 };
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
-pub use result::{GoalProgress, IkResidual, Motion, Parts, RolloutResult};
+pub use result::{
+    GoalProgress, IkResidual, MAX_PROMPT_BYTES, Measurement, Motion, Parts, RolloutResult,
+};

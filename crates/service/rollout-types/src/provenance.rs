@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use libero_ctrl::{Look, RendererKind, Wanted};
+use libero_ctrl::{Look, Realisation, RendererKind, Wanted};
 use serde::{Deserialize, Serialize};
 
 /// Name of this project's renderer, up to its version.
@@ -27,6 +27,11 @@ pub const UNNAMED_CHECKPOINT: &str = "not named by its server";
 
 /// Largest number of rollouts that one warning names; further ones are only counted.
 const MAX_NAMED: usize = 5;
+/// Longest text of a provenance, bytes.
+pub const MAX_TEXT_BYTES: usize = 512;
+/// Most settings of a provenance: those of a policy's description, and up to four that the worker
+/// adds: `execute`, `horizon`, and two about the execution model.
+pub const MAX_SETTINGS: usize = 68;
 
 /// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
@@ -46,6 +51,7 @@ pub struct Pin {
 
 /// The part of a result's origin that many results share.
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Provenance {
     /// Name of the machine.
     pub host: String,
@@ -78,6 +84,7 @@ pub struct Provenance {
 
 /// Digests by which the rollouts of one initial state are compared, SHA-256, hex.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Digests {
     /// Digest of the composed MJCF.
     pub scene: String,
@@ -119,7 +126,65 @@ impl Pin {
     }
 }
 
+impl Digests {
+    /// Names the first field that holds no digest; `None` if there is none.
+    pub(crate) fn problem(&self) -> Option<String> {
+        let first_frame = Some(&self.first_frame).filter(|digest| !digest.is_empty());
+        let digests = [
+            ("digests.scene", Some(&self.scene)),
+            ("digests.init_state", Some(&self.init_state)),
+            ("digests.first_frame", first_frame),
+        ];
+        digests.into_iter().find_map(|(field, digest)| not_a_digest(field, digest?))
+    }
+}
+
+fn not_a_digest(field: &str, value: &str) -> Option<String> {
+    let is_hex = |byte: u8| byte.is_ascii_digit() || (b'a'..=b'f').contains(&byte);
+    let is_digest = value.len() == 64 && value.bytes().all(is_hex);
+    (!is_digest).then(|| format!("`{field}` is not a SHA-256 in lower-case hex"))
+}
+
 impl Provenance {
+    /// Describes the first field with a value that no worker sends; `None` if there is none.
+    pub fn problem(&self) -> Option<String> {
+        let pin = &self.pin;
+        let required = [
+            ("asset_pack", &pin.asset_pack),
+            ("asset_pack_digest", &pin.asset_pack_digest),
+            ("mujoco_version", &pin.mujoco_version),
+            ("renderer", &pin.renderer),
+            ("policy_name", &self.policy_name),
+        ];
+        let settings = self.policy_settings.iter().flat_map(|(name, value)| [name, value]);
+        let mut texts = required
+            .into_iter()
+            .chain([
+                ("host", &self.host),
+                ("policy_checkpoint", &self.policy_checkpoint),
+                ("policy_checkpoint_digest", &self.policy_checkpoint_digest),
+                ("batch_mode", &self.batch_mode),
+                ("program_version", &self.program_version),
+            ])
+            .chain(settings.map(|text| ("policy_settings", text)));
+        if let Some((field, _)) = texts.find(|(_, text)| text.len() > MAX_TEXT_BYTES) {
+            return Some(format!("`{field}` is longer than {MAX_TEXT_BYTES} bytes"));
+        }
+        if let Some((field, _)) = required.into_iter().find(|(_, text)| text.is_empty()) {
+            return Some(format!("`{field}` is empty"));
+        }
+        let settings = self.policy_settings.len();
+        if settings > MAX_SETTINGS {
+            return Some(format!(
+                "`policy_settings` has {settings} entries; it may have at most {MAX_SETTINGS}"
+            ));
+        }
+        if let Err(error) = self.realisation.parse::<Realisation>() {
+            return Some(format!("`realisation`: {error}"));
+        }
+        not_a_digest("fingerprint", &self.fingerprint)
+    }
+
     /// Formats the policy's settings, such as `execute 8, horizon 50`; empty if there are none.
     pub fn policy_settings_in_words(&self) -> String {
         let settings = self.policy_settings.iter();

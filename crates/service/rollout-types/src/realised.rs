@@ -21,6 +21,7 @@ pub const TOLERANCE: f64 = 1e-8;
 pub struct Realised(BTreeMap<Axis, RealisedAxis>);
 
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct RealisedAxis {
     /// Parameters of the manifest row.
     pub parameters: Vec<f64>,

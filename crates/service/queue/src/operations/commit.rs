@@ -1,7 +1,7 @@
 //! End of an attempt with a result. Results that arrive together are judged one after the other,
 //! and the accepted results are stored by the same statements.
 
-use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
+use rollout_types::{AttemptId, Measurement, Motion, RolloutResult};
 
 use super::context::Context;
 use super::error::QueueError;
@@ -15,13 +15,7 @@ use crate::store::{StoreError, campaigns, jobs, results, workers};
 #[derive(Clone, Debug)]
 pub struct CommitReport {
     pub attempt: AttemptId,
-    pub result: RolloutResult,
-    /// Origin of the result: machine, assets, policy and program.
-    pub provenance: Provenance,
-    /// Digests of the scene, the initial state and the first frames, for comparison.
-    pub digests: Digests,
-    /// The perturbation as it was realised.
-    pub realised: Realised,
+    pub measurement: Measurement,
     pub motion: Motion,
 }
 
@@ -73,7 +67,7 @@ impl Context<'_> {
             let reply = self.judge(attempt, report, &mut accepted).await?;
             // A second report of the same attempt must find the result of the first.
             if reply.verdict == CommitVerdict::Accepted {
-                attempt.stored = Some(key(&report.result));
+                attempt.stored = Some(key(&report.measurement.result));
                 attempt.job.state = JobState::Committed;
             }
             replies.push(Ok(reply));
@@ -96,7 +90,8 @@ impl Context<'_> {
         report: &'r CommitReport,
         accepted: &mut Vec<NewResult<'r>>,
     ) -> Result<CommitReply, StoreError> {
-        let reported = key(&report.result);
+        let Measurement { result, provenance } = &report.measurement;
+        let reported = key(result);
         let job = &attempt.job;
         Ok(match job.judge_commit(attempt.id.0, reported, attempt.stored) {
             CommitJudgement::Accept => return self.accept(attempt, report, accepted).await,
@@ -105,9 +100,8 @@ impl Context<'_> {
                 detail: "this outcome is already stored".to_owned(),
             },
             CommitJudgement::Divergent => {
-                let (origin, _) = self.cache.origin(&mut self.tx, &report.provenance).await?;
+                let (origin, _) = self.cache.origin(&mut self.tx, provenance).await?;
                 let by = (attempt.number, &attempt.worker);
-                let result = &report.result;
                 results::insert_divergence(&mut self.tx, job.id, by, result, origin, self.now)
                     .await?;
                 divergent(attempt, reported)
@@ -128,7 +122,8 @@ impl Context<'_> {
         accepted: &mut Vec<NewResult<'r>>,
     ) -> Result<CommitReply, StoreError> {
         let campaign = self.campaign(attempt.initial_state.campaign).await?;
-        let from = &report.provenance.pin;
+        let Measurement { result, provenance } = &report.measurement;
+        let from = &provenance.pin;
         if !campaign.accepts(from) {
             let (name, demand) = (&campaign.name, campaign.demand());
             let detail = format!("campaign `{name}` {demand} and this result is of {from}");
@@ -145,7 +140,7 @@ impl Context<'_> {
             true => attempt.row.execution.to_string(),
             false => campaign.execution.clone(),
         };
-        let reported = report.provenance.execution();
+        let reported = provenance.execution();
         if reported != wanted {
             let (name, id) = (&campaign.name, attempt.row.id);
             let detail = format!(
@@ -156,7 +151,7 @@ impl Context<'_> {
         }
         let suite = attempt.row.id.task().suite();
         let measured = self.cache.measured(&mut self.tx, campaign.id, suite).await?;
-        let difference = measured.and_then(|pinned| report.provenance.policy_difference(&pinned));
+        let difference = measured.and_then(|pinned| provenance.policy_difference(&pinned));
         if let Some(difference) = difference {
             let name = &campaign.name;
             let detail = format!(
@@ -166,16 +161,16 @@ impl Context<'_> {
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
         }
-        if let Some(detail) = pairing::impossible_count(&attempt.row, &report.result) {
+        if let Some(detail) = pairing::impossible_count(&attempt.row, result) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
         let demand = Demand { realisation: campaign.mode()?, row: &attempt.row };
-        let (number, origin) = self.cache.origin(&mut self.tx, &report.provenance).await?;
-        let result = Sibling {
+        let (number, origin) = self.cache.origin(&mut self.tx, provenance).await?;
+        let sibling = Sibling {
             rollout: attempt.row.id,
             worker: attempt.worker.clone(),
-            digests: report.digests.clone(),
-            realised: report.realised.clone(),
+            digests: result.digests.clone(),
+            realised: result.realised.clone(),
             origin,
         };
         // A variant is compared with no other rollout, and a task may have hundreds of variants.
@@ -196,7 +191,7 @@ impl Context<'_> {
             }
             siblings => siblings?,
         };
-        if let Some(detail) = pairing::difference(&demand, siblings, &result) {
+        if let Some(detail) = pairing::difference(&demand, siblings, &sibling) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
         if !campaign.is_pinned() {
@@ -204,9 +199,9 @@ impl Context<'_> {
             self.cache.clear_campaigns();
         }
         // Later results are compared with this one.
-        self.cache.add_measured(campaign.id, suite, &result.origin);
+        self.cache.add_measured(campaign.id, suite, &sibling.origin);
         if has_siblings {
-            self.cache.add_sibling(&attempt.initial_state, result);
+            self.cache.add_sibling(&attempt.initial_state, sibling);
         }
         let after = campaign.health.after_commit(attempt.id.0, self.now);
         self.set_health(&campaign, &after).await?;
@@ -216,10 +211,8 @@ impl Context<'_> {
             number: attempt.number,
             worker: attempt.worker.clone(),
             campaign: attempt.initial_state.campaign,
-            result: &report.result,
+            result,
             origin: number,
-            digests: &report.digests,
-            realised: &report.realised,
             motion: &report.motion,
         });
         Ok(CommitReply { verdict: CommitVerdict::Accepted, detail: String::new() })

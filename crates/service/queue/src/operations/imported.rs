@@ -7,20 +7,16 @@ use std::sync::Arc;
 
 use libero_ctrl::manifest::{Difference, diff};
 use libero_ctrl::seeds::policy_seed;
-use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError, TaskKey};
-use rollout_types::Realised;
+use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId, Rollouts, SpecError, TaskKey};
 use sqlx::SqliteConnection;
 
 use super::batches::JOBS_PER_BATCH;
 use super::records::on_blocking_thread;
-use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
+use crate::ids::{CampaignId, JobId, NameError, WorkerId, json_problem};
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;
 use crate::store::workers::MAX_SLOTS;
 use crate::store::{Store, StoreError};
-
-/// Longest part of a parser's error in a message, bytes: the error may quote the archive.
-const MAX_PROBLEM_BYTES: usize = 200;
 
 /// Rows of an archive that this program would not have stored.
 #[derive(Debug, thiserror::Error)]
@@ -52,11 +48,6 @@ pub enum RowProblem {
          release that wrote it"
     )]
     Altered { column: String },
-    #[error("the `realised` of its result cannot be read ({problem})")]
-    Realised {
-        /// Error of the parser, shortened.
-        problem: String,
-    },
 }
 
 /// A worker of an archive that no coordinator would have registered.
@@ -134,12 +125,8 @@ fn check_row(stored: &StoredRow, expansion: &Expansion) -> Result<(), RowsError>
 }
 
 fn parse(stored: &StoredRow) -> Result<ManifestRow, RowProblem> {
-    if let Some(realised) = &stored.realised {
-        serde_json::from_str::<Realised>(realised)
-            .map_err(|error| RowProblem::Realised { problem: shortened_problem(error) })?;
-    }
     serde_json::from_str(&stored.manifest_row)
-        .map_err(|error| RowProblem::Unreadable { problem: shortened_problem(error) })
+        .map_err(|error| RowProblem::Unreadable { problem: json_problem(error) })
 }
 
 fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Result<(), RowProblem> {
@@ -174,10 +161,6 @@ fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Resu
             _ => "manifest_row".to_owned(),
         },
     })
-}
-
-fn shortened_problem(error: serde_json::Error) -> String {
-    shortened(JsonError::from(error).problem(), MAX_PROBLEM_BYTES).to_owned()
 }
 
 /// Returns true if every step budget of a derived campaign also occurs in its source.

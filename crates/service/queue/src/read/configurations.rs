@@ -1,13 +1,12 @@
 //! Rollouts of a configuration for comparison.
 
-use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised};
+use rollout_types::{AttemptId, Motion, Provenance};
 use sqlx::types::Text;
 
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
-use crate::store::provenance::provenance;
-use crate::store::results::digests;
+use crate::store::results::StoredResult;
 use crate::store::{Doing, StoreError, json};
 
 /// One rollout of a configuration with the state of its job.
@@ -44,31 +43,9 @@ pub struct ResultLine {
     /// Worker that ran the attempt.
     pub worker_id: WorkerId,
     pub committed_ms: UnixMillis,
-    /// True if the goal was reached.
-    pub success: bool,
-    /// The policy's control steps.
-    pub steps: u32,
-    pub wall_secs: f64,
-    /// Residual of the inverse kinematics, mm.
-    pub ik_residual_mm: Option<f64>,
-    /// Actions clipped into [-1, 1].
-    pub clipped_actions: u32,
-    pub policy_queries: u32,
-    pub goal_predicates: u32,
-    /// Predicates of the goal that held at the end.
-    pub goal_at_end: u32,
-    /// Most predicates of the goal that held together.
-    pub goal_at_most: u32,
-    /// Prompt that the policy got; `None` if it was empty.
-    pub prompt: Option<String>,
+    pub outcome: StoredResult,
     /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
-    /// Digests of the scene, the initial state and the first frames, for comparison.
-    #[sqlx(json)]
-    pub digests: Digests,
-    /// The perturbation as it was realised.
-    #[sqlx(json)]
-    pub realised: Realised,
     /// Path of the rollout's video below the data folder.
     pub video: Option<String>,
     /// Size of the video, bytes.
@@ -137,19 +114,14 @@ impl View {
     }
 
     pub async fn results(&mut self, jobs: &[JobId]) -> Result<Vec<ResultLine>, StoreError> {
-        sqlx::query_as(concat!(
-            "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
-                 r.steps, r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
-                 r.goal_predicates, r.goal_at_end, r.goal_at_most, r.prompt,
+        sqlx::query_as(
+            "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.outcome,
                  (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
-                 r.realised, a.path AS video, a.size_bytes AS video_bytes, ",
-            digests!(),
-            ", ",
-            provenance!(),
-            " FROM result r JOIN provenance v ON v.id = r.provenance_id
+                 a.path AS video, a.size_bytes AS video_bytes, v.origin AS provenance
+             FROM result r JOIN provenance v ON v.id = r.provenance_id
              LEFT JOIN artifact a ON a.attempt_id = r.attempt_id AND a.kind = 'video'
-             WHERE r.job_id IN (SELECT value FROM json_each(?))"
-        ))
+             WHERE r.job_id IN (SELECT value FROM json_each(?))",
+        )
         .bind(json(jobs))
         .fetch_all(self.tx())
         .await

@@ -80,8 +80,9 @@ impl View {
             "SELECT p.name AS policy, v.renderer,
                  substr(j.task, 1, instr(j.task, '/') - 1) AS suite, count(*) AS results,
                  sum(r.wall_secs) AS secs,
-                 sum(r.physics_secs + r.drawing_secs) AS processor_secs,
-                 sum(r.policy_secs) AS policy_secs
+                 sum((r.outcome ->> '$.parts.physics_secs')
+                     + (r.outcome ->> '$.parts.drawing_secs')) AS processor_secs,
+                 sum(r.outcome ->> '$.parts.policy_secs') AS policy_secs
              FROM campaign c JOIN policy p ON p.id = c.policy_id
              JOIN result r ON r.job_id IN
                  (SELECT job_id FROM result WHERE campaign_id = c.id AND committed_ms >= ?1

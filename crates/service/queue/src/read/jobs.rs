@@ -118,19 +118,16 @@ fn sort_keys<S: Serializer>(row: &ManifestRow, serializer: S) -> Result<S::Ok, S
 
 impl From<ResultLine> for ResultOrigin {
     fn from(line: ResultLine) -> ResultOrigin {
+        let outcome = line.outcome.0;
         ResultOrigin {
-            goal: GoalProgress {
-                predicates: line.goal_predicates,
-                at_end: line.goal_at_end,
-                at_most: line.goal_at_most,
-            },
-            prompt: line.prompt,
+            goal: outcome.goal,
+            prompt: outcome.prompt,
             attempt: line.number,
             worker_id: line.worker_id,
             host: line.provenance.host,
             renderer: line.provenance.pin.renderer,
             look: line.provenance.pin.look,
-            wall_secs: line.wall_secs,
+            wall_secs: outcome.wall_secs,
             divergences: line.divergences,
             video: line.video,
             committed_at: line.committed_ms,

@@ -1,14 +1,14 @@
 //! Results of a campaign for reports and exports.
 
-use rollout_types::{Fingerprints, GoalProgress, Provenance};
-
+use futures_util::TryStreamExt;
+use rollout_types::{Digests, Fingerprints, Provenance};
 use sqlx::types::Json;
 
 use super::View;
 use crate::clock::UnixMillis;
 use crate::ids::CampaignId;
 use crate::store::outcomes::OutcomeRow;
-use crate::store::provenance::provenance;
+use crate::store::results::StoredResult;
 use crate::store::{Doing, StoreError};
 
 /// State that a campaign's report depends on: equal editions have equal reports.
@@ -33,20 +33,7 @@ pub struct ExportedRow {
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// True if the goal was reached.
-    pub success: bool,
-    /// The policy's control steps.
-    pub steps: u32,
-    pub wall_secs: f64,
-    /// Residual of the inverse kinematics, mm.
-    pub ik_residual_mm: Option<f64>,
-    pub goal_predicates: u32,
-    /// Predicates of the goal that held at the end.
-    pub goal_at_end: u32,
-    /// Most predicates of the goal that held together.
-    pub goal_at_most: u32,
-    /// Prompt that the policy got; `None` if it was empty.
-    pub prompt: Option<String>,
+    pub outcome: StoredResult,
 }
 
 /// A job for reports.
@@ -56,14 +43,8 @@ pub struct RecordRow {
     pub job: OutcomeRow,
     /// Realisation, as [`libero_ctrl::Realisation`] names it, once the job is committed.
     pub realisation: Option<String>,
-    /// The policy's control steps, once the job is committed.
-    pub steps: Option<u32>,
-    /// Predicates of the goal, once the job is committed.
-    pub goal_predicates: Option<u32>,
-    /// Predicates of the goal that held at the end.
-    pub goal_at_end: Option<u32>,
-    /// Most predicates of the goal that held together.
-    pub goal_at_most: Option<u32>,
+    /// Result, once the job is committed.
+    pub outcome: Option<StoredResult>,
 }
 
 /// Manifest row and scene of a rollout.
@@ -72,21 +53,9 @@ pub struct SetupRow {
     pub rollout_id: String,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// SHA-256 of the composed scene, once the job is committed.
-    pub scene_digest: Option<String>,
-    /// SHA-256 of the initial state's bytes, once the job is committed.
-    pub init_state_digest: Option<String>,
-}
-
-impl RecordRow {
-    /// Returns the progress towards the goal, once the job is committed.
-    pub fn goal(&self) -> Option<GoalProgress> {
-        Some(GoalProgress {
-            predicates: self.goal_predicates?,
-            at_end: self.goal_at_end?,
-            at_most: self.goal_at_most?,
-        })
-    }
+    /// Digests of the result, once the job is committed.
+    #[sqlx(json(nullable))]
+    pub digests: Option<Digests>,
 }
 
 impl Edition {
@@ -124,8 +93,7 @@ impl View {
     ) -> Result<Vec<ExportedRow>, StoreError> {
         let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
         sqlx::query_as(
-            "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
-                 r.ik_residual_mm, r.goal_predicates, r.goal_at_end, r.goal_at_most, r.prompt
+            "SELECT j.rollout_id, j.replicate, j.manifest_row, r.outcome
              FROM job j JOIN result r ON r.job_id = j.id
              WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
              ORDER BY j.rollout_id, j.replicate LIMIT ?",
@@ -139,18 +107,24 @@ impl View {
         .doing("read results")
     }
 
-    /// Returns all jobs of a campaign with their outcomes, by rollout id, then replicate.
-    pub async fn records(&mut self, campaign: CampaignId) -> Result<Vec<RecordRow>, StoreError> {
+    /// Reads all jobs of a campaign with their results, by rollout id, then replicate. Each result
+    /// is dropped when `read` has returned: those of a large campaign would fill the memory.
+    pub async fn records<T>(
+        &mut self,
+        campaign: CampaignId,
+        read: impl FnMut(RecordRow) -> T,
+    ) -> Result<Vec<T>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.init_id, j.state = 'quarantined' AS is_quarantined,
-                 r.success, v.realisation, r.steps, r.goal_predicates, r.goal_at_end,
-                 r.goal_at_most
+                 r.success, v.realisation, r.outcome
              FROM job j LEFT JOIN result r ON r.job_id = j.id
              LEFT JOIN provenance v ON v.id = r.provenance_id
              WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
         )
         .bind(campaign)
-        .fetch_all(self.tx())
+        .fetch(self.tx())
+        .map_ok(read)
+        .try_collect()
         .await
         .doing("read the records of a campaign's rollouts")
     }
@@ -159,7 +133,7 @@ impl View {
     /// have equal setups.
     pub async fn setups(&mut self, campaign: CampaignId) -> Result<Vec<SetupRow>, StoreError> {
         sqlx::query_as(
-            "SELECT j.rollout_id, j.manifest_row, r.scene_digest, r.init_state_digest
+            "SELECT j.rollout_id, j.manifest_row, r.outcome -> 'digests' AS digests
              FROM job j LEFT JOIN result r ON r.job_id = j.id
              WHERE j.campaign_id = ? AND j.replicate = 0",
         )
@@ -191,34 +165,15 @@ impl View {
         &mut self,
         campaign: CampaignId,
     ) -> Result<Vec<Provenance>, StoreError> {
-        let rows: Vec<Json<Provenance>> = sqlx::query_scalar(concat!(
-            "SELECT ",
-            provenance!(),
-            " FROM provenance v
-             WHERE v.id IN (SELECT provenance_id FROM result WHERE campaign_id = ?) ORDER BY v.id"
-        ))
+        let rows: Vec<Json<Provenance>> = sqlx::query_scalar(
+            "SELECT origin FROM provenance
+             WHERE id IN (SELECT provenance_id FROM result WHERE campaign_id = ?) ORDER BY id",
+        )
         .bind(campaign)
         .fetch_all(self.tx())
         .await
         .doing("read the provenance of results")?;
         Ok(rows.into_iter().map(|Json(row)| row).collect())
-    }
-
-    /// Returns the number of clipped actions in a campaign's results, the number of all actions,
-    /// and the number of rollouts with clipped actions.
-    pub async fn clipped_actions(
-        &mut self,
-        campaign: CampaignId,
-    ) -> Result<(i64, i64, i64), StoreError> {
-        sqlx::query_as(
-            "SELECT coalesce(sum(clipped_actions), 0), coalesce(sum(steps), 0),
-                 coalesce(sum(clipped_actions > 0), 0)
-             FROM result WHERE campaign_id = ?",
-        )
-        .bind(campaign)
-        .fetch_one(self.tx())
-        .await
-        .doing("count a campaign's clipped actions")
     }
 
     /// Returns the number of results of each fingerprint in a campaign, and the tasks and initial

@@ -7,7 +7,7 @@ use sqlx::SqliteConnection;
 use super::{Doing, StoreError, json};
 use crate::ids::{CampaignId, JobId};
 
-/// The columns of a job, and of its result, that an archive is checked by. Types are SQLite's,
+/// The columns of a job that an archive is checked by. Types are SQLite's,
 /// since the values are untrusted.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct StoredRow {
@@ -19,8 +19,6 @@ pub(crate) struct StoredRow {
     pub(crate) policy_seed: i64,
     /// Manifest row, JSON.
     pub(crate) manifest_row: String,
-    /// Realised perturbation of the result, JSON; `None` if the job has no result.
-    pub(crate) realised: Option<String>,
 }
 
 /// Returns the checked columns of some jobs.
@@ -30,9 +28,8 @@ pub(crate) async fn rows_of(
 ) -> Result<Vec<StoredRow>, StoreError> {
     sqlx::query_as(
         "SELECT j.id, j.rollout_id, j.replicate, j.task, j.init_id, j.policy_seed,
-             j.manifest_row, r.realised
-         FROM json_each(?) w CROSS JOIN job j ON j.id = w.value
-         LEFT JOIN result r ON r.job_id = j.id",
+             j.manifest_row
+         FROM json_each(?) w CROSS JOIN job j ON j.id = w.value",
     )
     .bind(json(jobs))
     .fetch_all(tx)

@@ -1,15 +1,18 @@
 //! Statements on `result`, `motion` and `divergence`: results and the siblings that they are
 //! compared with.
 
+use std::ops::Deref;
 use std::sync::Arc;
 
-use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
+use rollout_types::{AttemptId, Motion, Provenance, RolloutResult};
+use sqlx::error::BoxDynError;
+use sqlx::sqlite::{SqliteTypeInfo, SqliteValueRef};
 use sqlx::types::Json;
-use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
+use sqlx::{Decode, QueryBuilder, Sqlite, SqliteConnection, Type};
 
 use super::jobs::InitialState;
-use super::provenance::{ProvenanceId, provenance};
-use super::{Doing, StoreError, insert_batches, json, undecodable};
+use super::provenance::ProvenanceId;
+use super::{Doing, StoreError, insert_batches, undecodable};
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::pairing::Sibling;
@@ -24,19 +27,32 @@ pub(crate) struct NewResult<'a> {
     pub(crate) campaign: CampaignId,
     pub(crate) result: &'a RolloutResult,
     pub(crate) origin: ProvenanceId,
-    pub(crate) digests: &'a Digests,
-    pub(crate) realised: &'a Realised,
     pub(crate) motion: &'a Motion,
 }
 
-/// SQL for the [`Digests`] of a result `r`, as JSON.
-macro_rules! digests {
-    () => {
-        "json_object('scene', r.scene_digest, 'init_state', r.init_state_digest,
-             'first_frame', r.first_frame_digest) AS digests"
-    };
+/// A result, as decoded from its JSON.
+#[derive(Clone, Debug)]
+pub struct StoredResult(pub RolloutResult);
+
+impl Deref for StoredResult {
+    type Target = RolloutResult;
+
+    fn deref(&self) -> &RolloutResult {
+        &self.0
+    }
 }
-pub(crate) use digests;
+
+impl Type<Sqlite> for StoredResult {
+    fn type_info() -> SqliteTypeInfo {
+        <str as Type<Sqlite>>::type_info()
+    }
+}
+
+impl<'r> Decode<'r, Sqlite> for StoredResult {
+    fn decode(value: SqliteValueRef<'r>) -> Result<Self, BoxDynError> {
+        Ok(StoredResult(RolloutResult::from_json(<&str as Decode<Sqlite>>::decode(value)?)?))
+    }
+}
 
 /// Stores results. The caller marks their jobs as committed later in the same transaction.
 pub(crate) async fn insert(
@@ -47,39 +63,17 @@ pub(crate) async fn insert(
     for chunk in insert_batches(results) {
         let mut statement = QueryBuilder::<Sqlite>::new(
             "INSERT INTO result (job_id, campaign_id, attempt_id, attempt, worker_id,
-                 committed_ms, success, steps, wall_secs, ik_residual_mm, ik_residual_deg,
-                 ik_clamped_joints, clipped_actions, policy_queries, provenance_id, scene_digest,
-                 init_state_digest, first_frame_digest, realised, physics_secs, drawing_secs,
-                 policy_secs, goal_predicates, goal_at_end, goal_at_most, prompt) ",
+                 committed_ms, provenance_id, outcome) ",
         );
         statement.push_values(chunk, |mut row, new| {
-            let (result, digests, ik) = (new.result, new.digests, new.result.ik);
             row.push_bind(new.job)
                 .push_bind(new.campaign)
                 .push_bind(new.attempt.to_string())
                 .push_bind(new.number)
                 .push_bind(&new.worker)
                 .push_bind(now)
-                .push_bind(result.success)
-                .push_bind(result.steps)
-                .push_bind(result.wall_secs)
-                .push_bind(ik.map(|ik| ik.residual_mm))
-                .push_bind(ik.map(|ik| ik.residual_deg))
-                .push_bind(ik.map(|ik| ik.clamped_joints))
-                .push_bind(result.clipped_actions)
-                .push_bind(result.policy_queries)
                 .push_bind(new.origin)
-                .push_bind(&digests.scene)
-                .push_bind(&digests.init_state)
-                .push_bind(&digests.first_frame)
-                .push_bind(json(new.realised))
-                .push_bind(result.parts.physics_secs)
-                .push_bind(result.parts.drawing_secs)
-                .push_bind(result.parts.policy_secs)
-                .push_bind(result.goal.predicates)
-                .push_bind(result.goal.at_end)
-                .push_bind(result.goal.at_most)
-                .push_bind(result.prompt.as_deref());
+                .push_bind(Json(new.result));
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;
         done.doing("store results")?;
@@ -104,18 +98,16 @@ pub(crate) async fn insert_divergence(
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
-        "INSERT OR IGNORE INTO divergence (job_id, attempt, worker_id, reported_ms, success,
-             steps, wall_secs, provenance_id)
-         VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
+        "INSERT OR IGNORE INTO divergence (job_id, attempt, worker_id, reported_ms, provenance_id,
+             outcome)
+         VALUES (?, ?, ?, ?, ?, ?)",
     )
     .bind(job)
     .bind(number)
     .bind(worker)
     .bind(now)
-    .bind(result.success)
-    .bind(result.steps)
-    .bind(result.wall_secs)
     .bind(origin)
+    .bind(Json(result))
     .execute(tx)
     .await
     .doing("store a divergent outcome")
@@ -130,35 +122,31 @@ pub(crate) async fn siblings(
     state: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
     // With a single min(), SQLite takes the other columns from the same row.
-    type Row = (i64, String, WorkerId, Json<Digests>, Json<Realised>, Json<Provenance>);
-    let rows: Vec<Row> = sqlx::query_as(concat!(
-        "SELECT min(j.id), j.rollout_id, r.worker_id, ",
-        digests!(),
-        ", r.realised, ",
-        provenance!(),
-        " FROM job j
+    type Row = (i64, String, WorkerId, StoredResult, Json<Provenance>);
+    let rows: Vec<Row> = sqlx::query_as(
+        "SELECT min(j.id), j.rollout_id, r.worker_id, r.outcome, v.origin FROM job j
          JOIN result r ON r.job_id = j.id
          JOIN provenance v ON v.id = r.provenance_id
          WHERE j.campaign_id IN
                  (SELECT ?1 UNION SELECT s.id FROM campaign c JOIN campaign s ON s.name = c.source
                      WHERE c.id = ?1)
              AND j.task = ?2 AND j.init_id = ?3 AND j.state = 'committed'
-         GROUP BY j.rollout_id, r.first_frame_digest = '', v.renderer, v.fingerprint,
-             v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
+         GROUP BY j.rollout_id, r.outcome ->> '$.digests.first_frame' = '', v.renderer,
+             v.fingerprint, v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
          ORDER BY 1",
-    ))
+    )
     .bind(state.campaign)
     .bind(&state.task)
     .bind(state.init_id)
     .fetch_all(tx)
     .await
     .doing("find a configuration's siblings")?;
-    let sibling = |(_, rollout, worker, digests, realised, origin): Row| {
+    let sibling = |(_, rollout, worker, StoredResult(result), origin): Row| {
         Ok(Sibling {
             rollout: rollout.parse().map_err(undecodable)?,
             worker,
-            digests: digests.0,
-            realised: realised.0,
+            digests: result.digests,
+            realised: result.realised,
             origin: Arc::new(origin.0),
         })
     };

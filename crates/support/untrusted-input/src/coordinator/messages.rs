@@ -4,7 +4,9 @@ use prost::Message;
 use proto::coordinator as wire;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use rollout_types::AttemptId;
+use rollout_types::{
+    AttemptId, Digests, GoalProgress, Measurement, Parts, Pin, Provenance, RolloutResult,
+};
 
 use crate::call::methods;
 
@@ -73,29 +75,33 @@ pub(super) fn heartbeat() -> EncodedCall {
 }
 
 pub(super) fn commit() -> EncodedCall {
-    let request = wire::CommitRequest {
-        attempt_id: attempt(),
-        result: Some(wire::RolloutResult {
+    let measurement = Measurement {
+        result: RolloutResult {
             success: true,
             steps: STEPS,
             wall_secs: 1.5,
-            parts: Some(wire::Parts { physics_secs: 0.5, drawing_secs: 0.25, policy_secs: 0.5 }),
-            goal: Some(wire::GoalProgress { predicates: 2, at_end: 2, at_most: 2 }),
-            ..wire::RolloutResult::default()
-        }),
-        provenance: Some(wire::Provenance {
-            asset_pack: "primitives".into(),
-            asset_pack_digest: digest(),
-            mujoco_version: "3.3.7".into(),
-            renderer: "r".into(),
-            look: "mujoco-3.3.2".into(),
+            parts: Parts { physics_secs: 0.5, drawing_secs: 0.25, policy_secs: 0.5 },
+            goal: GoalProgress { predicates: 2, at_end: 2, at_most: 2 },
+            digests: Digests { scene: digest(), init_state: digest(), ..Digests::default() },
+            ..RolloutResult::default()
+        },
+        provenance: Provenance {
+            pin: Pin {
+                asset_pack: "primitives".into(),
+                asset_pack_digest: digest(),
+                mujoco_version: "3.3.7".into(),
+                renderer: "r".into(),
+                ..Pin::default()
+            },
             fingerprint: digest(),
-            scene_digest: digest(),
-            init_state_digest: digest(),
             realisation: "matched".into(),
             policy_name: "p".into(),
-            ..wire::Provenance::default()
-        }),
+            ..Provenance::default()
+        },
+    };
+    let request = wire::CommitRequest {
+        attempt_id: attempt(),
+        measurement: serde_json::to_string(&measurement).expect("numbers and text are JSON"),
         motion: Some(wire::Motion { path: vec![0; (STEPS as usize + 1) * 6], actions: vec![] }),
     };
     ("WorkerService/Commit", request.encode_to_vec())
