@@ -41,8 +41,10 @@ pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
 /// Builds the packages of the named programs without optional features, and returns their folder.
 pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building {}", names.join(", "));
-    // With the workspace, other packages' dependencies would enable the features after all.
-    let packages: Vec<&str> = names.iter().flat_map(|name| ["--package", name]).collect();
+    // With the workspace, other packages' dependencies would enable the features after all;
+    // `workspace-hack` selects the features with which xtask's dependencies are compiled.
+    let packages = names.iter().chain(&["workspace-hack"]);
+    let packages: Vec<&str> = packages.flat_map(|name| ["--package", name]).collect();
     build(root, &[&["--no-default-features", "--bins"], &packages[..]].concat())
 }
 
