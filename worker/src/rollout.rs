@@ -13,7 +13,7 @@ use libero_ctrl::{Execution, Query, Schedule};
 use proto::policy as wire;
 use rollout_types::{
     Digests, EXECUTION, GoalProgress, IkResidual, MAX_PROMPT_BYTES, Motion, Parts, Pin, Provenance,
-    RolloutResult,
+    RolloutResult, shortened,
 };
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
@@ -260,7 +260,7 @@ impl Run<'_> {
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));
         let success = outcome?;
         self.watcher.ended(&mut episode);
-        let prompt = &instruction[..instruction.floor_char_boundary(MAX_PROMPT_BYTES)];
+        let prompt = shortened(&instruction, MAX_PROMPT_BYTES);
         let sim::Digests { scene, init_state } = episode.digests().clone();
         let first_frame = std::mem::take(&mut self.first_frame_digest);
         Ok(RolloutResult {

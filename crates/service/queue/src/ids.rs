@@ -4,6 +4,7 @@
 use std::fmt;
 
 use libero_ctrl::JsonError;
+pub use rollout_types::shortened;
 use serde::{Deserialize, Serialize};
 
 /// Longest name of a campaign, bytes. A campaign's name is also the name of a folder.
@@ -146,13 +147,6 @@ impl fmt::Display for JobName {
     }
 }
 
-/// Returns the longest prefix of `text` that fits in `max_bytes` and ends on a character boundary.
-/// Limits text from clients before it is stored or shown.
-pub fn shortened(text: &str, max_bytes: usize) -> &str {
-    let end = (0..=max_bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end));
-    &text[..end.unwrap_or(0)]
-}
-
 /// Returns the problem of a JSON text, shortened, since the parser may quote the text.
 pub fn json_problem(error: serde_json::Error) -> String {
     shortened(JsonError::from(error).problem(), MAX_PROBLEM_BYTES).to_owned()
@@ -169,12 +163,5 @@ mod tests {
         }
         assert!(CampaignName::parse(&"x".repeat(MAX_CAMPAIGN_NAME_BYTES + 1)).is_err());
         assert!(CampaignName::parse("pi05_L1.v2-final").is_ok());
-    }
-
-    #[test]
-    fn a_shortened_text_ends_between_characters() {
-        assert_eq!(shortened("aé", 2), "a");
-        assert_eq!(shortened("aé", 3), "aé");
-        assert_eq!(shortened("", 5), "");
     }
 }

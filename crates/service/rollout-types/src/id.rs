@@ -62,9 +62,23 @@ impl From<AttemptId> for String {
     }
 }
 
+/// Returns the longest prefix of `text` that fits in `max_bytes` and ends on a character boundary.
+/// Limits text from clients before it is stored or shown.
+pub fn shortened(text: &str, max_bytes: usize) -> &str {
+    let end = (0..=max_bytes.min(text.len())).rev().find(|&end| text.is_char_boundary(end));
+    &text[..end.unwrap_or(0)]
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_shortened_text_ends_between_characters() {
+        assert_eq!(shortened("aé", 2), "a");
+        assert_eq!(shortened("aé", 3), "aé");
+        assert_eq!(shortened("", 5), "");
+    }
 
     #[test]
     fn an_id_is_parsed_only_from_its_own_text() {

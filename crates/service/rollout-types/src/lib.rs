@@ -11,7 +11,7 @@ mod realised;
 mod result;
 
 pub use backoff::{Backoff, Waits};
-pub use id::{AttemptId, AttemptIdError};
+pub use id::{AttemptId, AttemptIdError, shortened};
 pub use provenance::{
     CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, MAX_SETTINGS, MAX_TEXT_BYTES, Pin,
     Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT, first_names,
