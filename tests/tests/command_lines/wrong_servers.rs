@@ -51,7 +51,7 @@ fn host_port(process: &Process) -> String {
     process.url.trim_start_matches("http://").to_owned()
 }
 
-/// What a client says of every server that it gets no answer from, before the reason.
+/// Beginning of the error about a server that does not answer; the reason follows it.
 const NO_ANSWER: &str = "no answer came from it (";
 
 /// Server that a client meets.

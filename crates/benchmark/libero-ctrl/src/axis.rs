@@ -28,7 +28,7 @@ pub struct AxisDef {
     pub axis: Axis,
     /// Name in rollout ids, manifests, columns and command lines.
     pub name: &'static str,
-    /// What is perturbed.
+    /// Noun phrase for the perturbation, in docs/PROTOCOL.md and the help of `--axes`.
     pub about: &'static str,
     /// True for the protocol's six axes, which *simultaneous* and sets perturb together. Any other
     /// axis runs only alone and is in no paired measure.
@@ -41,7 +41,7 @@ pub struct AxisDef {
     pub parameters: &'static [Parameter],
 }
 
-/// What an axis changes.
+/// Part of a rollout that an axis perturbs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ActsOn {
     /// The scene at its start.
