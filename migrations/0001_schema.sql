@@ -1,6 +1,6 @@
 -- The coordinator's database: what is to be run, who holds it, what came out.
 --
--- The CHECK constraints hold what the enums of `crates/service/queue/src/rules` express: a row
+-- The CHECK constraints hold what the enums of `crates/queue/src/rules` express: a row
 -- that they cannot express cannot be stored, and every state has exactly its own columns.
 -- Instants end in `_ms`: milliseconds since the Unix epoch, UTC. Digests are SHA-256, hex.
 

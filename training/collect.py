@@ -51,7 +51,7 @@ WORDINGS = 200
 """Number of wordings of each task from which the student's instructions are drawn."""
 
 SINGLE_AXES = ("camera", "lighting", "robot", "sensor", "actuation")
-COMBINATION_SHARE = 0.5
+SIMULTANEOUS_SHARE = 0.5
 """Share of the perturbed episodes that are perturbed on all five axes."""
 RADII = (0.5, 8.0)
 """Least and greatest radius of a perturbation; the benchmark's level L3 has radius 8."""
@@ -340,8 +340,8 @@ class Group:
 
 def perturbation(rng: np.random.Generator) -> str:
     """Draws a configuration on the benchmark's axes, in a direction that the benchmark lacks."""
-    combined = rng.random() < COMBINATION_SHARE
-    axis = "combination" if combined else SINGLE_AXES[rng.integers(len(SINGLE_AXES))]
+    combined = rng.random() < SIMULTANEOUS_SHARE
+    axis = "simultaneous" if combined else SINGLE_AXES[rng.integers(len(SINGLE_AXES))]
     first, last = CONFIGURATIONS
     return f"{axis}/r{rng.uniform(*RADII):.3f}/c{rng.integers(first, last + 1):02}"
 

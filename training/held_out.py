@@ -22,7 +22,7 @@ def evaluation_sentences() -> list[str]:
         suite, index = task.split("/")
         for level in LEVELS:
             for config in range(CONFIGURATIONS):
-                for axis in ("language", "combination"):
+                for axis in ("language", "simultaneous"):
                     name = f"{suite}/t{index}/{axis}/{level}/c{config:02}"
                     sentences.add(str(json.loads(native.configuration_row(name))["language"]))
     return sorted(sentences - {canonical(task) for task in TASK_NAMES})

@@ -8,8 +8,11 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
+use benchmark::ManifestRow;
+use benchmark::attempt::{
+    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
+};
 use clap::Parser;
-use libero_ctrl::ManifestRow;
 use queue::clock::SystemClock;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, WorkerId};
@@ -19,9 +22,6 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use rollout_types::{
-    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
-};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tokio::task::JoinSet;
@@ -122,8 +122,8 @@ fn spec(name: &str, jobs: u64) -> Result<NewCampaign> {
     let spec = json!({
         "name": name,
         "policy": {"name": "simulated", "endpoint": "http://127.0.0.1:1"},
-        "tasks": libero_ctrl::select_tasks("all")?,
-        "axes": libero_ctrl::Axis::ALL,
+        "tasks": benchmark::select_tasks("all")?,
+        "axes": benchmark::Axis::ALL,
         "levels": ["L1", "L2", "L3"],
         "configs": configs,
         "nominal": "none",
@@ -353,7 +353,7 @@ fn pin() -> Pin {
         asset_pack_digest: digest("pack"),
         mujoco_version: "simulated".to_owned(),
         renderer: "simulated".to_owned(),
-        look: libero_ctrl::Look::default(),
+        look: benchmark::Look::default(),
     }
 }
 

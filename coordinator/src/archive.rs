@@ -19,7 +19,7 @@ use std::io;
 use std::path::PathBuf;
 
 use ::report::DocumentError;
-use libero_ctrl::JsonError;
+use benchmark::JsonError;
 use queue::{PortableError, SourceOutcomes, StoreError};
 use serde::{Deserialize, Serialize};
 

@@ -218,7 +218,7 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
 }
 
 #[cfg(test)]
-#[path = "../../crates/support/terminal/tests/helps/mod.rs"]
+#[path = "../../crates/terminal/tests/helps/mod.rs"]
 mod helps;
 
 #[cfg(test)]

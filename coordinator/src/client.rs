@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use libero_ctrl::JsonError;
+use benchmark::JsonError;
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use queue::clock::UnixMillis;

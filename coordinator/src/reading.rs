@@ -1,6 +1,6 @@
 //! Errors from reading a campaign's stored results.
 
-use libero_ctrl::{JsonError, SpecError, UnknownName};
+use benchmark::{JsonError, SpecError, UnknownName};
 use queue::ids::CampaignName;
 use queue::{QueueError, StoreError};
 

@@ -2,7 +2,8 @@
 //! a report, which the `report` crate computes. The same results give the same subject, however
 //! many attempts they took.
 
-use libero_ctrl::{
+use benchmark::attempt::Digests;
+use benchmark::{
     CampaignSpec, Directions, Execution, Level, ManifestRow, Purpose, RolloutId, Rollouts,
     UnknownName,
 };
@@ -11,7 +12,6 @@ use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
     BeyondRange, Derived, EarlyStop, Origin, Quarantined, Setups, Subject, counted, rollout_name,
 };
-use rollout_types::Digests;
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;
@@ -124,7 +124,7 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
             serde_json::from_str(&manifest_row).map_err(unreadable(rollout_id))?;
         // Tasks of suite files have no nominal rollout.
         let state = match row.own {
-            None => RolloutId::clean(row.id.task(), row.init_id),
+            None => RolloutId::nominal(row.id.task(), row.init_id),
             Some(_) => row.id,
         };
         if let Some(Digests { scene, init_state, .. }) = digests {

@@ -8,7 +8,10 @@ use std::fmt::Debug;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use libero_ctrl::ManifestRow;
+use benchmark::ManifestRow;
+use benchmark::attempt::{
+    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
+};
 use queue::clock::{ManualClock, UnixMillis};
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, JobName, WorkerId};
@@ -18,9 +21,6 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use rollout_types::{
-    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
-};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
@@ -124,7 +124,7 @@ fn pin() -> Pin {
         asset_pack_digest: digest('a'),
         mujoco_version: "3.3.7".to_owned(),
         renderer: "llvmpipe".to_owned(),
-        look: libero_ctrl::Look::default(),
+        look: benchmark::Look::default(),
     }
 }
 

@@ -3,5 +3,5 @@
 #![no_main]
 
 libfuzzer_sys::fuzz_target!(|input: &[u8]| {
-    (untrusted_input::named(env!("CARGO_BIN_NAME")).run)(input);
+    (tests::untrusted_input::named(env!("CARGO_BIN_NAME")).run)(input);
 });

@@ -70,7 +70,7 @@ def test_synthetic_readings_describe_one_posture():
 
 
 def test_the_synthetic_tasks_equal_those_of_the_gateways_check():
-    source = Path(__file__).parents[2] / "crates/policies/policy-doctor/src/conformance/scene.rs"
+    source = Path(__file__).parents[2] / "policy-gateway/src/doctor/conformance/scene.rs"
     table = source.read_text().partition("pub const TASKS")[2].partition("];")[0]
     texts = re.findall(r'"(.*?)"', table)
     assert dict(zip(texts[::2], texts[1::2])) == TASKS

@@ -228,8 +228,8 @@ def test_episodes_do_not_share_memory(serving):
 )
 def test_an_error_of_the_policy_is_one_line_without_session_and_query(serving, answer, expected):
     client = serving(Answering(answer))
-    client.reset("object/t0/clean/L0/c00#r0#a1")
-    code, text = refusal(client.infer, "object/t0/clean/L0/c00#r0#a1", 9)
+    client.reset("object/t0/nominal/L0/c00#r0#a1")
+    code, text = refusal(client.infer, "object/t0/nominal/L0/c00#r0#a1", 9)
     assert code == grpc.StatusCode.INTERNAL
     assert expected in text and "\n" not in text
     # The caller knows policy, session and query, and a campaign shows them beside the text.

@@ -27,7 +27,7 @@ use std::{
     time::Duration,
 };
 
-use libero_ctrl::plain_words;
+use benchmark::plain_words;
 use policy_backends::{
     BackendSpec, DEFAULT_ANSWER_WITHIN, recorder::RecordInto, spec::BackendSpecError,
 };

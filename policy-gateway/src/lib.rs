@@ -17,6 +17,7 @@ use crate::service::Gateway;
 mod access;
 pub mod batch;
 pub mod config;
+pub mod doctor;
 pub mod front;
 pub mod health;
 pub mod observation_budget;

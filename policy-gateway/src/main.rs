@@ -19,7 +19,7 @@ use policy_backends::{
     openpi::OpenpiAddress,
     recorder::{DEFAULT_MAX_BYTES, RecordInto},
 };
-use policy_doctor::{
+use policy_gateway::doctor::{
     command::{CommandError, Compare, Doctor},
     conformance::{self, ConformanceError, Target, scene},
 };
@@ -408,7 +408,7 @@ async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
 }
 
 #[cfg(test)]
-#[path = "../../crates/support/terminal/tests/helps/mod.rs"]
+#[path = "../../crates/terminal/tests/helps/mod.rs"]
 mod helps;
 
 #[cfg(test)]

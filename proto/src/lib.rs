@@ -7,6 +7,7 @@
 #![allow(clippy::all, reason = "generated code")]
 
 /// `rollout.policy.v1`.
+pub mod checks;
 pub mod policy {
     include!("../generated/rollout.policy.v1.in");
 }

@@ -22,7 +22,7 @@ AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
 #: Paired measures that have a 95 % interval.
 INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
 #: Names of conditions in rollout ids: without perturbation, and with all axes perturbed at once.
-CLEAN, COMBINATION = "clean", "combination"
+NOMINAL, SIMULTANEOUS = "nominal", "simultaneous"
 
 SUCCESS = {
     **of(TEXT, "policy level condition"), **of(COUNT, "successes n"), **of(NUMBER, "rate"),
@@ -44,7 +44,7 @@ CONFIGURATIONS = {
     **of(TEXT, "transition unresolved"),
     **{
         f"{condition}_{column}": type_
-        for condition in ("nominal", *AXES, "combination")
+        for condition in ("nominal", *AXES, "simultaneous")
         for column, type_ in (("goal", NUMBER), ("steps", INTEGER))
     },
 }  # fmt: skip
@@ -71,8 +71,8 @@ class Report:
     warnings: tuple[str, ...]
     #: Warnings about the figures of one policy, each after its label.
     notes: tuple[str, ...]
-    #: A row per policy, level and condition (`clean` at L0, each axis alone,
-    #: `combination`): successes of n rollouts, and rollouts without an outcome.
+    #: A row per policy, level and condition (`nominal` at L0, each axis alone,
+    #: `simultaneous`): successes of n rollouts, and rollouts without an outcome.
     success: pd.DataFrame = field(repr=False)
     #: A row per policy and level: the protocol's paired measures with the ends of
     #: their 95 % intervals.
@@ -109,7 +109,7 @@ class Comparison:
     warnings: tuple[str, ...]
     #: Warnings about one policy, each after its label.
     notes: tuple[str, ...]
-    #: A row per level and condition (`clean` at L0, each axis, `combination`). `difference_worst`
+    #: A row per level and condition (`nominal` at L0, each axis, `simultaneous`). `difference_worst`
     #: and `difference_best` bound the difference for all possible outcomes of quarantined rollouts.
     cells: pd.DataFrame = field(repr=False)
     #: Rollouts that are not compared, because they differed between the two policies, by reason.
@@ -177,12 +177,12 @@ def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         policy = subject["label"]
         if nominal := subject["nominal"]:
             counts = _counts(nominal["count"], nominal["gap"])
-            yield {"policy": policy, "level": "L0", "condition": CLEAN, **counts}
+            yield {"policy": policy, "level": "L0", "condition": NOMINAL, **counts}
         for cell in subject["cells"]:
             gaps = cell["completeness"]["gaps"]
             conditions = {axis: alone["count"] for axis, alone in cell["alone"].items()}
             if cell["simultaneous"] is not None:
-                conditions[COMBINATION] = cell["simultaneous"]
+                conditions[SIMULTANEOUS] = cell["simultaneous"]
             for condition, count in conditions.items():
                 counts = _counts(count, gaps.get(condition))
                 yield {"policy": policy, "level": cell["level"], "condition": condition, **counts}

@@ -36,7 +36,7 @@ def task(name: str) -> tuple[str, int, str, str, int]:
     budget."""
 
 def configuration_row(id: str) -> str:
-    """Returns the manifest row, JSON, of a rollout id such as `spatial/t0/combination/L2/c03`."""
+    """Returns the manifest row, JSON, of a rollout id such as `spatial/t0/simultaneous/L2/c03`."""
 
 def nominal_row(task: str, initial_state: int) -> str:
     """Returns the manifest row, JSON, of a task's nominal rollout from an initial state."""

@@ -222,7 +222,7 @@ def _choose(init_states: InitStates, count: int) -> str | Sequence[int]:
 
 def _row(task: Task, perturbation: str | Mapping[str, Any]) -> dict[str, Any]:
     """Returns the manifest row of a rollout id, of a rollout id without suite and task, such as
-    ``combination/L2/c03``, or the given row itself."""
+    ``simultaneous/L2/c03``, or the given row itself."""
     if isinstance(perturbation, str):
         text = perturbation
         if text.count("/") == 2:

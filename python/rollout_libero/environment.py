@@ -34,7 +34,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             (``num_steps_wait``), 10 in LIBERO-CTRL.
         max_steps: control steps after which a rollout is truncated; by default those of the
             configuration (``max_steps``), in LIBERO-CTRL the suite's.
-        perturbation: a configuration of LIBERO-CTRL, ``combination/L2/c03``, or a row of a
+        perturbation: a configuration of LIBERO-CTRL, ``simultaneous/L2/c03``, or a row of a
             manifest. It includes the instruction and, unless ``init_states="sampled"``, the
             initial state.
         control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world

@@ -7,7 +7,7 @@ mod motion;
 mod reference;
 
 use anyhow::{Context, Result, ensure};
-use libero_ctrl::presets::ENV_SEED;
+use benchmark::presets::ENV_SEED;
 use scene::{AssetPack, Problem, Sources, compose};
 use sim::mujoco::{Model, ObjectKind};
 use sim::{Drawer, Environment};

@@ -4,7 +4,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use libero_ctrl::TaskRef;
+use benchmark::TaskRef;
 use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 

@@ -12,3 +12,4 @@ pub mod measure;
 pub mod outcome;
 pub mod programs;
 pub mod slurm;
+pub mod untrusted_input;

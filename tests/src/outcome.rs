@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use rollout_types::{Digests, RolloutResult};
+use benchmark::attempt::{Digests, RolloutResult};
 use serde_json::Value;
 use sqlx::Connection;
 

@@ -322,7 +322,7 @@ def inference(rows, placebo):
             "prediction": sample.estimate(predicted, False),
             "difference": sample.estimate(lambda s: s[2] / s[0] - predicted(s), False),
         }
-        conditions = dict(zip(AXES, alone.T)) | {"combination": sim}
+        conditions = dict(zip(AXES, alone.T)) | {"simultaneous": sim}
         losses = {name: loss(keys, nominal, y) for name, y in conditions.items()}
         adjusted = holm([row["sign_flip_p"] for row in losses.values()])
         for row, p in zip(losses.values(), adjusted):

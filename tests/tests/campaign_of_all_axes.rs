@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use libero_ctrl::{Axis, AxisSet, Condition, Level, ManifestRow, RolloutId};
+use benchmark::{Axis, AxisSet, Condition, Level, ManifestRow, RolloutId};
 use serde_json::{Value, json};
 use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};

@@ -6,7 +6,7 @@ use std::process::Command;
 use tests::programs::{Campaigns, Process, program};
 
 const TASKS: &str = "libero_object/0,libero_spatial/0";
-/// Five metric axes, their combination, and the nominal rollout.
+/// Five metric axes, alone and simultaneous, and the nominal rollout.
 const CONDITIONS: usize = 7;
 
 #[test]

@@ -1,8 +1,8 @@
 //! Memory, threads and open files over many short rollouts in one process. There are more tasks
 //! than cached scenes, so that scenes and their textures are constantly created and dropped.
 
-use libero_ctrl::presets::apply_preset;
-use libero_ctrl::{
+use benchmark::presets::apply_preset;
+use benchmark::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef,
 };
 use scene::Sources;
@@ -53,7 +53,7 @@ fn roll_out(simulator: &mut Simulator, task: TaskRef, config: u16) {
         apply_preset(&mut perturbation, axis, Level::L2, config);
     }
     let init_id = task.eval_init_ids()[usize::from(config)];
-    let id = RolloutId::perturbed(task, Condition::Combination, Level::L2, config).unwrap();
+    let id = RolloutId::perturbed(task, Condition::Simultaneous, Level::L2, config).unwrap();
     let row = ManifestRow::new(id, config, init_id, perturbation);
     let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
     episode.settle().unwrap();

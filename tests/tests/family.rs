@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
-use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{Look, RolloutId, row_of};
-use libero_family::corruption::Corruption;
-use libero_family::plus::{Assets, Variant, inventory, start_posture};
-use libero_family::pro::ProSuite;
-use libero_family::protocol::Benchmark;
+use benchmark::family::corruption::Corruption;
+use benchmark::family::plus::{Assets, Variant, inventory, start_posture};
+use benchmark::family::pro::ProSuite;
+use benchmark::family::protocol::Benchmark;
+use benchmark::numpy::LegacyRng;
+use benchmark::{Look, RolloutId, row_of};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Conditions, Environment, ObjectKind, ReadyScene, Reset, Start, VariantStart};
 use tests::family::{
@@ -66,7 +66,7 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let begin = |environment: &mut Environment, start, waits| {
-            let mut row = row_of(RolloutId::clean(variant.task, 0)).unwrap();
+            let mut row = row_of(RolloutId::nominal(variant.task, 0)).unwrap();
             row.settle_steps = waits;
             let start = VariantStart {
                 view: Some(variant.view()),
@@ -175,7 +175,7 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
         };
         let ready = ReadyScene::compile(files, pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
-        let row = row_of(RolloutId::clean(task, trial)).unwrap();
+        let row = row_of(RolloutId::nominal(task, trial)).unwrap();
         let start = VariantStart {
             view: None,
             posture: None,

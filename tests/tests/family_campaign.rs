@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-use libero_ctrl::Benchmark;
+use benchmark::Benchmark;
 use scene::Sources;
 use serde_json::Value;
 use tests::outcome::{Outcomes, alone, stored};

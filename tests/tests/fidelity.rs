@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::presets::ENV_SEED;
-use libero_ctrl::{Look, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
+use benchmark::presets::ENV_SEED;
+use benchmark::{Look, ManifestRow, Perturbation, Realisation, RolloutId, TaskRef};
 use scene::{InitialStates, TaskFiles, compose};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
@@ -138,9 +138,9 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
             Look::Mujoco333 => &["object/t0"],
         };
         for task in tasks {
-            for condition in ["clean/i00", "camera/L3/c05", "lighting/L3/c07"] {
+            for condition in ["nominal/i00", "camera/L3/c05", "lighting/L3/c07"] {
                 let id: RolloutId = format!("{task}/{condition}").parse().unwrap();
-                let row = libero_ctrl::row_of(id).unwrap();
+                let row = benchmark::row_of(id).unwrap();
                 let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
                 episode.settle().unwrap();
                 for camera in ["agentview", "robot0_eye_in_hand"] {
@@ -280,10 +280,14 @@ fn the_arm_moves_as_in_the_original_with_any_asset_pack() {
     });
     for (task, motion) in figures().arm {
         let task: TaskRef = task.parse().unwrap();
-        let id: RolloutId =
-            format!("{}/t{}/clean/i{:02}", task.suite().short_name(), task.index(), motion.init_id)
-                .parse()
-                .unwrap();
+        let id: RolloutId = format!(
+            "{}/t{}/nominal/i{:02}",
+            task.suite().short_name(),
+            task.index(),
+            motion.init_id
+        )
+        .parse()
+        .unwrap();
         let row = ManifestRow::new(id, motion.init_id, motion.init_id, Perturbation::default());
         let mut episode = simulator.begin(&row, Realisation::Matched).unwrap();
         episode.settle().unwrap();

@@ -3,7 +3,7 @@
 
 use std::process::Command;
 
-use libero_ctrl::Delays;
+use benchmark::Delays;
 use serde_json::Value;
 use tests::programs::{Campaigns, Process, program};
 

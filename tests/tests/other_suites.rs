@@ -4,8 +4,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use libero_ctrl::TaskRef;
-use libero_ctrl::presets::ENV_SEED;
+use benchmark::TaskRef;
+use benchmark::presets::ENV_SEED;
 use scene::{AssetPack, InitialStates, Problem, Scene, SceneError, Sources, TaskFiles, compose};
 use sim::Environment;
 use sim::episode::NO_OP;

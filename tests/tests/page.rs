@@ -159,7 +159,7 @@ fn the_videos_of_a_configuration_play_together() {
     ]);
     let worker = Process::worker(&bench.campaigns.coordinator.url, 2, "primitives");
     bench.campaigns.wait_for_commits("filmed", None);
-    let configuration = "/campaigns/filmed/configurations/object/t0/combination/L1/c00";
+    let configuration = "/campaigns/filmed/configurations/object/t0/simultaneous/L1/c00";
     bench.browser.go(&bench.url(configuration));
     // A video may arrive a moment after its result.
     bench.browser.wait_for("document.querySelectorAll('video').length === 4");

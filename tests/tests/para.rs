@@ -4,8 +4,8 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use libero_family::para::{self, Paraphrase};
-use libero_family::protocol::Benchmark;
+use benchmark::family::para::{self, Paraphrase};
+use benchmark::family::protocol::Benchmark;
 use scene::{SceneError, Sources, TaskFiles, copy_paraphrases};
 use tests::files::sources;
 

@@ -4,11 +4,11 @@
 
 use std::path::Path;
 
-use libero_ctrl::{
+use benchmark::{
     Axis, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef,
     presets, row_of,
 };
-use policy_protocol::CAMERAS;
+use proto::checks::CAMERAS;
 use sim::mujoco::ObjectKind;
 use sim::{CameraRequest, ObservationRequest, Renderer, Simulator, SimulatorConfig};
 use tests::fidelity::{Array, FrameFindings, SAME_ARITHMETIC, read_npz, read_upright};
@@ -82,7 +82,7 @@ fn check_task(simulator: &mut Simulator, task: TaskRef, file: &Path) {
 
 /// Returns the row of a rollout whose camera, lights and arm are perturbed together.
 fn row(task: TaskRef, level: Level, config: u16) -> ManifestRow {
-    let id = RolloutId::perturbed(task, Condition::Combination, level, config).unwrap();
+    let id = RolloutId::perturbed(task, Condition::Simultaneous, level, config).unwrap();
     let mut perturbation = Perturbation::default();
     for axis in [Axis::Camera, Axis::Lighting, Axis::Robot] {
         presets::apply_preset(&mut perturbation, axis, level, config);

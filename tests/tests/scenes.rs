@@ -3,8 +3,8 @@
 use std::collections::HashSet;
 use std::path::PathBuf;
 
-use libero_ctrl::TaskRef;
-use libero_ctrl::presets::ENV_SEED;
+use benchmark::TaskRef;
+use benchmark::presets::ENV_SEED;
 use scene::{
     AssetPack, InitialStates, Problem, SceneError, Sources, TaskFiles, compose, needed_files,
 };

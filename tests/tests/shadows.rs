@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
-use libero_ctrl::presets::ENV_SEED;
-use libero_ctrl::{Benchmark, Look, TaskRef};
-use libero_family::plus::{Dimension, Entry, inventory};
+use benchmark::family::plus::{Dimension, Entry, inventory};
+use benchmark::presets::ENV_SEED;
+use benchmark::{Benchmark, Look, TaskRef};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde::Deserialize;
 use sim::{Drawer, Environment, Renderer};

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
-use libero_ctrl::{FileTask, SuiteFile, TaskRef};
+use benchmark::{FileTask, SuiteFile, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles, compose};
 use serde_json::{Value, json};
 use tests::files::{folder_with_links, libero};

@@ -130,7 +130,7 @@ def test_perturbations_differ_from_the_benchmarks(
     assert 0.5 < (names != "").mean() < 0.9
     for name in names[names != ""]:
         axis, radius, config = name.split("/")
-        assert axis in (*collect.SINGLE_AXES, "combination")
+        assert axis in (*collect.SINGLE_AXES, "simultaneous")
         assert 0.5 <= float(radius[1:]) <= 8
         assert 10 <= int(config[1:]) <= 999
 

@@ -4,8 +4,8 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::{Query, TooLate};
-use policy_protocol::{ACTION_WIDTH, ActionFault, DescriptionFault};
+use benchmark::{Query, TooLate};
+use proto::checks::{ACTION_WIDTH, ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, Observation, StateField};
 use transport::{AccessError, EndpointError};
 

@@ -5,10 +5,10 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use benchmark::family::protocol::{Benchmark, Protocol};
+use benchmark::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use libero_ctrl::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
-use libero_family::protocol::{Benchmark, Protocol};
 use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};
@@ -468,7 +468,7 @@ fn task_choice(text: &str) -> Result<TaskChoice, String> {
         task => task
             .parse()
             .map(TaskChoice::One)
-            .map_err(|error: libero_ctrl::UnknownName| error.to_string()),
+            .map_err(|error: benchmark::UnknownName| error.to_string()),
     }
 }
 

@@ -7,9 +7,9 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
-use libero_ctrl::{Look, ManifestRow, Realisation, TaskRef};
+use benchmark::attempt::{AttemptId, Motion};
+use benchmark::{Look, ManifestRow, Realisation, TaskRef};
 use proto::coordinator::{Film, NextFilmRequest};
-use rollout_types::{AttemptId, Motion};
 use sim::{Simulator, SimulatorConfig};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
@@ -179,16 +179,16 @@ fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> R
 
 fn parse_film(film: Film) -> Result<Filmable, String> {
     let row: ManifestRow = serde_json::from_str(&film.manifest_row)
-        .map_err(|error| libero_ctrl::JsonError::from(error).to_string())?;
+        .map_err(|error| benchmark::JsonError::from(error).to_string())?;
     let attempt = film.attempt_id.parse();
     let realisation = film.realisation.parse();
     let motion = Motion { actions: film.actions, ..Motion::default() };
     let actions = motion.actions().into_iter();
     Ok(Filmable {
-        attempt: attempt.map_err(|error: rollout_types::AttemptIdError| error.to_string())?,
+        attempt: attempt.map_err(|error: benchmark::attempt::AttemptIdError| error.to_string())?,
         label: format!("{} {}#r{}", film.campaign, row.id, film.replicate),
         row,
-        realisation: realisation.map_err(|error: libero_ctrl::UnknownName| error.to_string())?,
+        realisation: realisation.map_err(|error: benchmark::UnknownName| error.to_string())?,
         actions: actions.map(|action| action.map(f64::from)).collect(),
         success: film.success,
     })

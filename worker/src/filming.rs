@@ -7,10 +7,10 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use libero_ctrl::{ManifestRow, Realisation};
-use policy_protocol::CAMERAS;
+use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
+use benchmark::{ManifestRow, Realisation};
+use proto::checks::CAMERAS;
 use sim::{CameraRequest, Episode, Frame, ObservationRequest, SimError};
-use video::{PANE_SIDE, VideoEncoder, VideoError};
 
 use crate::actor::Action;
 use crate::message::Assignment;

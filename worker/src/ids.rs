@@ -3,7 +3,7 @@
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::{fmt, fs, process};
 
-use rollout_types::AttemptId;
+use benchmark::attempt::AttemptId;
 use sha2::{Digest, Sha256};
 
 /// Identifier of a worker process, new at every start.

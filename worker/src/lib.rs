@@ -32,3 +32,4 @@ pub mod stage;
 mod stopwatch;
 pub mod supervise;
 pub mod variants;
+pub mod video;

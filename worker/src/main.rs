@@ -11,9 +11,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef};
-use libero_family::pro::STATES;
-use libero_family::protocol::Protocol;
+use benchmark::family::pro::STATES;
+use benchmark::family::protocol::Protocol;
+use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -272,7 +272,7 @@ fn row(
         (None, Some(_), _) => {
             bail!("run {id}: it is of none of LIBERO's family; leave out --protocol")
         }
-        (None, None, _) => Ok(libero_ctrl::row_of(id)?),
+        (None, None, _) => Ok(benchmark::row_of(id)?),
     }
 }
 
@@ -310,7 +310,7 @@ fn standalone_assignment(row: ManifestRow, replicate: u32, realisation: Realisat
     Assignment {
         attempt,
         session: Session::new(&row.id, replicate, attempt),
-        policy_seed: libero_ctrl::seeds::policy_seed(&row.id, replicate),
+        policy_seed: benchmark::seeds::policy_seed(&row.id, replicate),
         row,
         realisation,
         policy: String::new(),
@@ -322,7 +322,7 @@ fn standalone_assignment(row: ManifestRow, replicate: u32, realisation: Realisat
 }
 
 fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
-    let row = libero_ctrl::row_of(arguments.id)?;
+    let row = benchmark::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(&arguments.endpoint, &access, ROLLOUT_SETTINGS)?;
     let simulator = open_simulator(&arguments.simulator)?;

@@ -9,9 +9,9 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::{ManifestRow, Realisation, RolloutId};
+use benchmark::attempt::{AttemptId, Motion, Provenance, RolloutResult};
+use benchmark::{ManifestRow, Realisation, RolloutId};
 use proto::coordinator::release_request::Reason;
-use rollout_types::{AttemptId, Motion, Provenance, RolloutResult};
 use serde::{Deserialize, Serialize};
 
 use crate::actor::{PolicyError, PolicySession};
@@ -258,10 +258,10 @@ mod tests {
     #[test]
     fn commands_and_events_round_trip_as_single_lines() {
         let row = ManifestRow::new(
-            "goal/t0/clean/i06".parse().expect("an id"),
+            "goal/t0/nominal/i06".parse().expect("an id"),
             6,
             6,
-            libero_ctrl::Perturbation::default(),
+            benchmark::Perturbation::default(),
         );
         let row = row.under(&"overlap:3*812+4*188,rtc".parse().expect("a model"));
         let command = SlotCommand::Run(Box::new(Assignment {

@@ -1,7 +1,7 @@
 //! Converts the simulator's observations to the policy protocol. Orientation, units and coordinate
 //! frames stay as they are.
 
-use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
+use benchmark::{Entity, EntityKind, Predicate, Privileged};
 use proto::policy as wire;
 use sim::{Frame, Observation, RobotState};
 use wire::StateField;

@@ -4,8 +4,8 @@
 
 use std::time::Duration;
 
-use libero_ctrl::Query;
-use policy_protocol::{ACTION_WIDTH, DescriptionFault};
+use benchmark::Query;
+use proto::checks::{ACTION_WIDTH, DescriptionFault};
 use proto::policy::policy_client::PolicyClient as GrpcClient;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferRequest, Observation, ResetRequest,
@@ -183,7 +183,7 @@ impl Actor for PolicyClient {
             .map_err(|status| self.refused(&call, session, &status))?;
         self.answered = Some(query_index + 1);
         let horizon = u32::try_from(horizon).unwrap_or(u32::MAX);
-        let actions = policy_protocol::actions(&response, horizon);
+        let actions = proto::checks::actions(&response, horizon);
         let actions = actions.map_err(|fault| PolicyError::InvalidAnswer {
             call,
             policy: session.policy.to_owned(),
@@ -242,7 +242,7 @@ fn with_settings(endpoint: Endpoint) -> Endpoint {
 
 /// Checks and parses a policy's description.
 fn read_description(about: DescribeResponse) -> Result<Description, DescriptionFault> {
-    policy_protocol::description(&about)?;
+    proto::checks::description(&about)?;
     let fields = about.state.iter();
     Ok(Description {
         state: fields.filter_map(|&field| StateField::try_from(field).ok()).collect(),

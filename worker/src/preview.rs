@@ -7,7 +7,7 @@ mod sheet;
 
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{
+use benchmark::{
     ActsOn, Axis, AxisSet, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId,
     TaskRef, paraphrase, row_of,
 };
@@ -76,11 +76,11 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
     PreviewError::Write { path: path.to_owned(), problem: problem.to_string() }
 }
 
-/// Renders the grid: one row for each axis alone and one for the combination, with a column for
+/// Renders the grid: one row for each axis alone and one for simultaneous, with a column for
 /// the nominal scene and for each severity. The language axis is shown as text.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, PreviewError> {
     let seen = Axis::every().filter(|axis| axis.def().acts_on != ActsOn::Answers);
-    let rows = seen.map(Condition::Single).chain([Condition::Combination]);
+    let rows = seen.map(Condition::Single).chain([Condition::Simultaneous]);
     let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME as usize);
     for condition in rows {
         if condition == Condition::Single(Axis::Language) {
@@ -92,14 +92,11 @@ fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, Preview
             continue;
         }
         let nominal = row(request.task, condition, None, request.config);
-        sheet.add(
-            &format!("{}: nominal", condition.label()),
-            picture(simulator, request, &nominal)?,
-        );
+        sheet
+            .add(&format!("{}: nominal", condition.name()), picture(simulator, request, &nominal)?);
         for level in LEVELS {
             let row = row(request.task, condition, Some(level), request.config);
-            sheet
-                .add(&format!("{} {level}", condition.label()), picture(simulator, request, &row)?);
+            sheet.add(&format!("{} {level}", condition.name()), picture(simulator, request, &row)?);
         }
     }
     Ok(sheet.finish())

@@ -15,11 +15,11 @@ use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{Condition, RolloutId};
+use crate::video::VideoEncoder;
+use benchmark::{Condition, RolloutId};
 use serde::Serialize;
 use sim::episode::NUDGE_M;
 use sim::{Episode, Observation, Simulator};
-use video::VideoEncoder;
 
 use crate::actor::{Action, Actor};
 use crate::filming::{FilmingError, Replay, render_again};
@@ -106,7 +106,7 @@ pub fn run(
     output: &Path,
 ) -> Result<Rescue, RescueError> {
     let id = assignment.row.id;
-    if id.condition() == Condition::Clean || id.condition().sets_execution() {
+    if id.condition() == Condition::Nominal || id.condition().sets_execution() {
         return Err(RescueError::NotPerturbed(id));
     }
     let write = |path: &Path, source| RescueError::Write { path: path.to_owned(), source };

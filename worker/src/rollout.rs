@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use libero_ctrl::{Execution, Query, Schedule};
-use proto::policy as wire;
-use rollout_types::{
+use benchmark::attempt::{
     Digests, EXECUTION, GoalProgress, IkResidual, MAX_PROMPT_BYTES, Motion, Parts, Pin, Provenance,
     RolloutResult, shortened,
 };
+use benchmark::{Execution, Query, Schedule};
+use proto::policy as wire;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
 use sim::{CameraRequest, Episode, Observation, ObservationRequest, SimError};
@@ -28,8 +28,8 @@ use crate::stopwatch::{add_elapsed_time, add_processor_time};
 
 // A result holds whatever a policy's description may hold, and the settings that `settings` adds.
 const _: () = assert!(
-    proto::MAX_TEXT_BYTES <= rollout_types::MAX_TEXT_BYTES
-        && proto::MAX_SETTINGS + 4 <= rollout_types::MAX_SETTINGS
+    proto::MAX_TEXT_BYTES <= benchmark::attempt::MAX_TEXT_BYTES
+        && proto::MAX_SETTINGS + 4 <= benchmark::attempt::MAX_SETTINGS
 );
 
 /// Control step of the policy.

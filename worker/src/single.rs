@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use rollout_types::{Provenance, RolloutResult};
+use benchmark::attempt::{Provenance, RolloutResult};
 use scene::TaskFiles;
 use serde::Serialize;
 use sim::{Simulator, VariantStart};

@@ -8,7 +8,7 @@ use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::{fs, io, process, thread};
 
-use rollout_types::AttemptId;
+use benchmark::attempt::AttemptId;
 use sim::{SceneFolder, SimError, Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
 use transport::{Access, chain};

@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use libero_ctrl::{Look, ManifestRow, Realisation};
+use benchmark::{Look, ManifestRow, Realisation};
 use proto::policy as wire;
 use scene::TaskFiles;
 use sim::{Episode, SimError, Simulator, VariantStart};

@@ -4,9 +4,9 @@ use std::ops::ControlFlow;
 use std::thread::sleep;
 use std::time::Duration;
 
-use libero_ctrl::{Execution, ManifestRow, Query, row_of};
+use benchmark::attempt::{EXECUTION, Motion};
+use benchmark::{Execution, ManifestRow, Query, row_of};
 use proto::policy as wire;
-use rollout_types::{EXECUTION, Motion};
 use scene::{AssetPack, Sources};
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
@@ -121,7 +121,7 @@ fn simulator(test: &str) -> Option<Simulator> {
 }
 
 fn row() -> ManifestRow {
-    let id = "spatial/t0/combination/L2/c00".parse().expect("an id");
+    let id = "spatial/t0/simultaneous/L2/c00".parse().expect("an id");
     let mut row = row_of(id).expect("a row");
     row.max_steps = STEPS;
     row
@@ -186,7 +186,7 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
         row
     };
     let late = short_row("spatial/t0/latency/L3/c00");
-    let nominal = short_row(&format!("spatial/t0/clean/i{:02}", late.init_id));
+    let nominal = short_row(&format!("spatial/t0/nominal/i{:02}", late.init_id));
     // A row of the latency axis keeps its own model, whatever the campaign's.
     let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
     let delayed_nominal =

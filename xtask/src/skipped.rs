@@ -123,7 +123,7 @@ mod tests {
         let (existing, absent) = (folder.path(), folder.path().join("absent"));
         for reason in [
             " a: no reference data at /elsewhere/tests/../../shared/oracle/tasks",
-            ": /here/crates/analysis/paired/../../../shared/libero-ctrl-v0.1 is not here",
+            ": /here/crates/paired/../../../shared/libero-ctrl-v0.1 is not here",
         ] {
             write(reason);
             let error = check(&report, existing).expect_err(reason).to_string();

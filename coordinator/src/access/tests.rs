@@ -6,7 +6,7 @@ use tonic::codegen::http::{Method, Request};
 use super::*;
 use crate::page;
 
-#[path = "../../../crates/service/transport/tests/walk/mod.rs"]
+#[path = "../../../crates/transport/tests/walk/mod.rs"]
 mod walk;
 
 use walk::{Credentials, OPERATOR, Sender, Table, calls_of, guarded, is_call, open, walk};

@@ -161,7 +161,7 @@ impl ArchiveReader<'_> {
         let read = first.read_to_end(&mut text);
         read.map_err(|error| self.read_error(CONTENTS_FILE, error))?;
         let unreadable = |error: serde_json::Error| {
-            let problem = libero_ctrl::JsonError::from(error);
+            let problem = benchmark::JsonError::from(error);
             self.not_an_archive(format!("{CONTENTS_FILE}: {problem}"))
         };
         let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;

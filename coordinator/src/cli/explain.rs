@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use adaptive::subsets::{Addition, additions};
 use anyhow::{Context, anyhow};
+use benchmark::{CampaignSpec, Explanation, ManifestRow, Purpose, Record, RolloutId};
 use clap::Args;
-use libero_ctrl::{CampaignSpec, Explanation, ManifestRow, Purpose, Record, RolloutId};
+use paired::adaptive::subsets::{Addition, additions};
 use report::{Findings, Subject};
 use terminal::{number, number_from};
 

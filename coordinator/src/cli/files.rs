@@ -5,7 +5,7 @@ use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use libero_ctrl::{CampaignSpec, ManifestRow, SuiteFile, manifest};
+use benchmark::{CampaignSpec, ManifestRow, SuiteFile, manifest};
 use report::figures::Figure;
 use terminal::counted;
 

@@ -3,9 +3,9 @@
 
 use std::collections::BTreeMap;
 
+use benchmark::{Condition, RolloutId};
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
-use libero_ctrl::{Condition, RolloutId};
 use proto::coordinator::{ForecastRequest, SuiteRollouts};
 use queue::expand::{NewCampaign, NewJob};
 use queue::read::Forecast;
@@ -58,7 +58,7 @@ const PAPER_HOURS: [(&str, f64, f64); 6] = [
 /// rollouts as the campaign has.
 fn paper_hours(campaign: &NewCampaign) -> impl Iterator<Item = (&'static str, f64)> {
     let is_nominal = |job: &&NewJob| {
-        job.rollout_id.parse().is_ok_and(|id: RolloutId| id.condition() == Condition::Clean)
+        job.rollout_id.parse().is_ok_and(|id: RolloutId| id.condition() == Condition::Nominal)
     };
     let nominal = campaign.jobs.iter().filter(is_nominal).count();
     let perturbed = campaign.jobs.len() - nominal;

@@ -6,7 +6,7 @@ use std::collections::BTreeSet;
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
-use libero_ctrl::{CampaignSpec, Condition, Execution, Level, Rollouts, execution_at};
+use benchmark::{CampaignSpec, Condition, Execution, Level, Rollouts, execution_at};
 use proto::PROTOCOL_VERSION;
 use proto::policy::DescribeRequest;
 use proto::policy::policy_client::PolicyClient;

@@ -77,7 +77,7 @@ pub(super) fn operator_notes(status: &CampaignStatus) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
-    use libero_ctrl::{Stop, Strata};
+    use benchmark::{Stop, Strata};
     use queue::read::{Counts, EarlyStop};
 
     use super::*;

@@ -1,11 +1,11 @@
 //! `coordinator manifest`: expands, checks and compares manifest files without a coordinator. The
-//! manifest format and the comparison are implemented in `libero_ctrl`.
+//! manifest format and the comparison are implemented in `benchmark`.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
+use benchmark::{Design, DesignVersion, ManifestRow, manifest};
 use clap::{ArgGroup, Args, Subcommand, ValueEnum};
-use libero_ctrl::{Design, DesignVersion, ManifestRow, manifest};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};

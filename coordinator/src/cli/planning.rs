@@ -3,7 +3,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Condition, Level, RolloutId, TaskRef};
+use benchmark::{Condition, Level, RolloutId, TaskRef};
 use paired::Detectable;
 use queue::expand::NewCampaign;
 use serde::Serialize;
@@ -24,7 +24,7 @@ pub(super) fn plan(campaign: &NewCampaign) -> Vec<Planned> {
     let mut units: BTreeMap<Level, BTreeSet<(TaskRef, u16)>> = BTreeMap::new();
     let ids = campaign.jobs.iter().filter(|job| job.replicate == 0);
     for id in ids.filter_map(|job| job.rollout_id.parse::<RolloutId>().ok()) {
-        if id.condition() == Condition::Combination && !id.is_placebo() {
+        if id.condition() == Condition::Simultaneous && !id.is_placebo() {
             units.entry(id.level()).or_default().insert((id.task(), id.number()));
         }
     }

@@ -1,7 +1,7 @@
 //! Explanation of a stop rule: the conclusion that an early end supports, and the configurations to
 //! which it does not extend.
 
-use libero_ctrl::{Clause, Measure, StopRule};
+use benchmark::{Clause, Measure, StopRule};
 use terminal::counted;
 
 /// Returns one line per clause and a closing line on the scope of the rule. `configurations` is the

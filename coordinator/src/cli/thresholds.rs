@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use adaptive::radii::{Measurement, Ray};
 use anyhow::anyhow;
-use clap::Args;
-use libero_ctrl::{
+use benchmark::{
     CampaignSpec, Condition, Level, MAX_RADII, Purpose, Record, Rollouts, TOLERANCES, Thresholds,
 };
+use clap::Args;
+use paired::adaptive::radii::{Measurement, Ray};
 use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
 
@@ -138,7 +138,7 @@ impl ThresholdsArguments {
 
 fn condition(text: &str) -> Result<Condition, &'static str> {
     match text.parse() {
-        Ok(Condition::Clean) | Err(_) => Err("write axes such as camera,robot, or simultaneous"),
+        Ok(Condition::Nominal) | Err(_) => Err("write axes such as camera,robot, or simultaneous"),
         Ok(condition) => Ok(condition),
     }
 }

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::ensure;
+use benchmark::family::para::TypeName;
+use benchmark::family::plus::{Dimension, Variant};
+use benchmark::family::pro::{ProSuite, STATES};
+use benchmark::family::protocol::Protocol;
+use benchmark::family::{Lacking, ParaFilters, PlusFilters, ProFilters, Selection};
+use benchmark::{Benchmark, ManifestRow, TaskRef};
 use clap::Args;
-use libero_ctrl::{Benchmark, ManifestRow, TaskRef};
-use libero_family::para::TypeName;
-use libero_family::plus::{Dimension, Variant};
-use libero_family::pro::{ProSuite, STATES};
-use libero_family::protocol::Protocol;
-use libero_family::{Lacking, ParaFilters, PlusFilters, ProFilters, Selection};
 use terminal::number;
 
 use super::command::{CommandError, usage};

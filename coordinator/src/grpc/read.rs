@@ -4,7 +4,8 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
-use libero_ctrl::{JsonError, Look, Suite, select_tasks};
+use benchmark::attempt::{AttemptId, MAX_TEXT_BYTES, Measurement, Motion, Pin, Provenance};
+use benchmark::{JsonError, Look, Suite, select_tasks};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, json_problem, shortened};
 use queue::read::JobFilter;
@@ -13,7 +14,6 @@ use queue::rules::lease::FailureReason;
 use queue::{
     Alteration, AppendedRow, CommitReport, MAX_JOBS_RETRIED, MAX_SLOTS, Retry, WorkerInfo,
 };
-use rollout_types::{AttemptId, MAX_TEXT_BYTES, Measurement, Motion, Pin, Provenance};
 use serde_json::Value;
 use terminal::printable;
 use tonic::Status;

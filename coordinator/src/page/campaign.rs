@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use libero_ctrl::{Condition, Level, RolloutId};
+use benchmark::{Condition, Level, RolloutId};
 use maud::{Markup, html};
 use paired::{Outcome, Record};
 use queue::read::Counts;
@@ -73,19 +73,19 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         }
         tally.succeeded += u64::from(record.outcome == Outcome::Success);
     }
-    let is_perturbed = |(condition, _): &&(Condition, Level)| *condition != Condition::Clean;
+    let is_perturbed = |(condition, _): &&(Condition, Level)| *condition != Condition::Nominal;
     let perturbed = tallies.keys().filter(is_perturbed);
     let levels: BTreeSet<Level> = perturbed.clone().map(|key| key.1).collect();
     let conditions: BTreeSet<Condition> = perturbed.map(|key| key.0).collect();
     let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
     let (subsets, others): (Vec<Condition>, Vec<Condition>) =
         conditions.into_iter().partition(is_subset);
-    let nominal = tallies.get(&(Condition::Clean, Level::L0));
+    let nominal = tallies.get(&(Condition::Nominal, Level::L0));
     let rows_of = |conditions: &[Condition]| {
         html! {
             @for condition in conditions {
                 tr {
-                    th scope="row" { (breakable(condition.label())) }
+                    th scope="row" { (breakable(condition.name())) }
                     @for level in &levels {
                         td.tally {
                             @match tallies.get(&(*condition, *level)) {
@@ -101,7 +101,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
     let rows = html! {
         @if let Some(nominal) = nominal {
             tr {
-                th scope="row" { (Condition::Clean.label()) }
+                th scope="row" { (Condition::Nominal.name()) }
                 td.tally colspan=(levels.len().max(1)) { (tally(nominal)) }
             }
         }

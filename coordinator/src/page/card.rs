@@ -1,11 +1,11 @@
 //! Card of one rollout on a configuration's page: outcome, video, perturbation, failed attempts and
 //! provenance.
 
-use libero_ctrl::{Axis, ManifestRow, RolloutId, seeds};
+use benchmark::attempt::GoalProgress;
+use benchmark::{Axis, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 use queue::rules::lease::FailureReason;
-use rollout_types::GoalProgress;
 use terminal::counted;
 
 use super::layout::breakable;
@@ -38,7 +38,7 @@ pub(super) fn card(
     replicate: u32,
     trace: Option<Markup>,
 ) -> Markup {
-    let title = shown.id.condition().label();
+    let title = shown.id.condition().name();
     let (class, word, detail) = describe_state(shown);
     html! {
         article.rollout id=(shown.id.condition()) aria-label=(title) {
@@ -126,7 +126,7 @@ pub(super) fn player(campaign: &str, id: RolloutId, replicate: u32) -> Markup {
     html! {
         video data-keep controls muted playsinline preload="auto"
             src=(video_address(campaign, id, replicate))
-            aria-label={ "Video of the rollout, " (id.condition().label()) } {}
+            aria-label={ "Video of the rollout, " (id.condition().name()) } {}
     }
 }
 

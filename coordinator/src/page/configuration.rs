@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use libero_ctrl::{Axis, AxisSet, Condition, ManifestRow, RolloutId};
+use benchmark::attempt::Motion;
+use benchmark::{Axis, AxisSet, Condition, ManifestRow, RolloutId};
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
 use queue::ids::{JobId, shortened};
 use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
-use rollout_types::Motion;
 
 use super::campaign::address;
 use super::card::{self, ShownRollout};
@@ -45,7 +45,7 @@ pub(super) async fn sheet(
     let videos = filmed.count() + subsets.films;
     let campaign = name.as_str();
     let extent = Extent::from_paths(shown.iter().map(|shown| &shown.path));
-    let is_nominal = |shown: &&ShownRollout| shown.id.condition() == Condition::Clean;
+    let is_nominal = |shown: &&ShownRollout| shown.id.condition() == Condition::Nominal;
     let nominal = shown.iter().find(is_nominal);
     let trace = |rollout: &ShownRollout| {
         let is_other = |nominal: &&ShownRollout| nominal.id != rollout.id;
@@ -97,7 +97,7 @@ async fn rollouts(
     let mut lines = view.rollouts(campaign.id, &ids, replicate).await?;
     let init_id = lines.iter().find_map(|line| Some(read(line).ok()?.init_id));
     if let (Some(init_id), Some(_)) = (init_id, requested.config()) {
-        let nominal = RolloutId::clean(requested.task(), init_id).to_string();
+        let nominal = RolloutId::nominal(requested.task(), init_id).to_string();
         let nominal_ids = std::slice::from_ref(&nominal);
         lines.extend(view.rollouts(campaign.id, nominal_ids, replicate).await?);
         ids.insert(0, nominal);
@@ -139,7 +139,7 @@ fn siblings(requested: RolloutId) -> Vec<String> {
     // The simultaneous rollout comes first, beside the nominal one, since the two are usually
     // compared.
     let subset_conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
-    let conditions = [Condition::Combination].into_iter().chain(subset_conditions);
+    let conditions = [Condition::Simultaneous].into_iter().chain(subset_conditions);
     let others = Axis::every().filter(|axis| !axis.def().is_combined);
     let conditions = conditions.chain(others.map(Condition::Single));
     let id =

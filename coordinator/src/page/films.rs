@@ -1,10 +1,10 @@
 //! Explanation of an outcome as text and as films side by side: the minimal subset of axes that
 //! changes it, and the largest proper subsets that do not.
 
-use adaptive::subsets::{Answer, Explanation, MinimalSubset};
-use libero_ctrl::{AxisSet, RolloutId};
+use benchmark::{AxisSet, RolloutId};
 use maud::{Markup, html};
 use paired::Transition;
+use paired::adaptive::subsets::{Answer, Explanation, MinimalSubset};
 
 use super::card::player;
 use super::lattice_view::{LatticeView, Source};
@@ -199,7 +199,7 @@ const fn verbs(transition: Transition) -> (&'static str, &'static str) {
 
 /// Names a subset: `camera and robot together`, `camera alone`, `no perturbation`.
 fn subset_name(set: AxisSet) -> String {
-    let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
+    let names: Vec<&str> = set.axes().map(benchmark::Axis::name).collect();
     match names.as_slice() {
         [] => "no perturbation".to_owned(),
         [axis] => format!("{axis} alone"),

@@ -1,9 +1,9 @@
 //! Outcomes of a configuration under every subset of the axes, from the measuring campaign and
 //! the campaign that explains it.
 
-use adaptive::subsets::{Lattice, configurations, own_configurations};
-use libero_ctrl::{AxisSet, CampaignSpec, Condition, Explanation, Purpose, RolloutId};
+use benchmark::{AxisSet, CampaignSpec, Condition, Explanation, Purpose, RolloutId};
 use paired::Record;
+use paired::adaptive::subsets::{Lattice, configurations, own_configurations};
 use queue::read::{Campaign, SubsetRow, View};
 
 use super::campaign::address;
@@ -35,7 +35,7 @@ pub(super) async fn read(
     requested: RolloutId,
 ) -> Result<Option<LatticeView>, Problem> {
     let simultaneous = |number| {
-        RolloutId::perturbed(requested.task(), Condition::Combination, requested.level(), number)
+        RolloutId::perturbed(requested.task(), Condition::Simultaneous, requested.level(), number)
             .ok()
     };
     let Some(configuration) = requested.config().and_then(simultaneous) else {
@@ -88,7 +88,7 @@ async fn source(
     let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
     let mut rows = view.subsets(campaign.id, &ids).await?;
     if let Some(first) = rows.first() {
-        let nominal = RolloutId::clean(requested.task(), first.job.init_id).to_string();
+        let nominal = RolloutId::nominal(requested.task(), first.job.init_id).to_string();
         rows.extend(view.subsets(campaign.id, &[nominal]).await?);
     }
     Ok(Source { campaign, rows })

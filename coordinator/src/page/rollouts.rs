@@ -1,6 +1,6 @@
 //! Page listing the rollouts of a campaign, filtered by state or outcome.
 
-use libero_ctrl::RolloutId;
+use benchmark::RolloutId;
 use maud::{Markup, html};
 use queue::QueueError;
 use queue::ids::{JobId, JobName};

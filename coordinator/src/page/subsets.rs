@@ -2,9 +2,9 @@
 //! subsets that change its outcome, and their films.
 
 use ::report::figures;
-use adaptive::subsets::Explained;
-use libero_ctrl::RolloutId;
+use benchmark::RolloutId;
 use maud::{Markup, html};
+use paired::adaptive::subsets::Explained;
 use queue::read::{Campaign, View};
 
 use super::campaign::address;
@@ -50,7 +50,7 @@ pub(super) async fn section(
         };
         return Ok(Section { markup, films: 0 });
     }
-    let outcomes = adaptive::subsets::outcomes(&lattice.outcomes);
+    let outcomes = paired::adaptive::subsets::outcomes(&lattice.outcomes);
     let explanation = explained.as_ref().map(|explained| &explained.explanation);
     let link = |set| lattice.link(set);
     let picture = figures::lattice(

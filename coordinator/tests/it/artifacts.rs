@@ -51,7 +51,7 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let path = put(&mut worker, &lease, "video.mp4", &pieces).await.expect("stored");
     let attempt = &lease.attempt_id;
-    let expected = format!("artifacts/filmed/object_t0_clean_i16.r0.{attempt}.mp4");
+    let expected = format!("artifacts/filmed/object_t0_nominal_i16.r0.{attempt}.mp4");
     assert_eq!(path, expected);
     let stored = std::fs::read(bench.folder.path().join(&path)).expect("a file");
     assert_eq!(stored, pieces.concat());

@@ -1,9 +1,9 @@
 //! Creating, following and exporting campaigns.
 
+use benchmark::attempt::IkResidual;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use queue::{DATABASE_FILE, OpenError, Store, newest_known_schema};
-use rollout_types::IkResidual;
 use serde_json::{Value, json};
 use tonic::Code;
 
@@ -97,8 +97,8 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
         lines.push(line.json);
     }
     let init_id = 16;
-    let clean = format!(
-        r#"{{"rollout_id":"object/t0/clean/i{init_id}","success":true,"steps":120,"axis":"clean","level":"L0","suite":"libero_object","task_id":0,"init_id":{init_id},"config":null,"policy":"expert","wall_s":1.5"#
+    let nominal = format!(
+        r#"{{"rollout_id":"object/t0/nominal/i{init_id}","success":true,"steps":120,"axis":"nominal","level":"L0","suite":"libero_object","task_id":0,"init_id":{init_id},"config":null,"policy":"expert","wall_s":1.5"#
     );
     let robot = format!(
         r#"{{"rollout_id":"object/t0/robot/L1/c00","success":true,"steps":120,"axis":"robot","level":"L1","suite":"libero_object","task_id":0,"init_id":{init_id},"config":0,"policy":"expert","wall_s":1.5,"ik_res_mm":0.125"#
@@ -107,8 +107,8 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     let [first_replicate, second_replicate] = [0, 1].map(replicate);
     let goal = r#","goal_predicates":2,"goal_at_end":2,"goal_at_most":2"#;
     let expected = [
-        format!("{clean}{first_replicate}{goal}}}"),
-        format!("{clean}{second_replicate}{goal}}}"),
+        format!("{nominal}{first_replicate}{goal}}}"),
+        format!("{nominal}{second_replicate}{goal}}}"),
         format!("{robot}{first_replicate}{goal}}}"),
         format!("{robot}{second_replicate}{goal}}}"),
     ];

@@ -80,7 +80,7 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
     let ids: Vec<String> = worker.claim(8).await.iter().map(rollout_id).collect();
     let conditions: Vec<&str> =
         ids.iter().map(|id| id.split('/').nth(2).expect("a condition")).collect();
-    let unit = ["clean", "camera", "sensor", "combination"];
+    let unit = ["nominal", "camera", "sensor", "simultaneous"];
     assert_eq!(conditions, [unit, unit].concat());
     assert!(ids[1..4].iter().all(|id| id.ends_with("c00")), "{ids:?}");
     assert!(ids[5..].iter().all(|id| id.ends_with("c01")), "{ids:?}");

@@ -203,35 +203,35 @@ async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_ful
 /// effect of a clock jump.
 const OTHER_CLOCKS: [(&str, &str); 8] = [
     (
-        "crates/policies/policy-backends/src/websocket.rs",
+        "crates/policy-backends/src/websocket.rs",
         "a timestamp for a server's log; nothing depends on it",
     ),
     (
-        "crates/service/queue/src/clock.rs",
+        "crates/queue/src/clock.rs",
         "read once at the start; the tests above simulate jumps of this clock",
     ),
     (
-        "crates/service/queue/src/operations/local_videos.rs",
+        "crates/queue/src/operations/local_videos.rs",
         "compared for equality: a file that was written again counts as a different file",
     ),
     (
-        "crates/simulation/assets/src/verify.rs",
+        "crates/scene/src/assets/verify.rs",
         "compared for equality: a file with another instant is verified again",
     ),
     (
-        "crates/simulation/scene/src/task.rs",
+        "crates/scene/src/task.rs",
         "compared for equality: task files with another instant are checked and compiled again",
     ),
     (
-        "crates/simulation/sim/src/scene_files.rs",
+        "crates/sim/src/scene_files.rs",
         "compared for equality: a program with another instant compiles scenes again",
     ),
     (
-        "crates/simulation/sim/src/scene_files/evict.rs",
+        "crates/sim/src/scene_files/evict.rs",
         "orders compiled scenes by their last use: a jump changes which scene is evicted",
     ),
     (
-        "crates/simulation/sim/src/scene_files/folder.rs",
+        "crates/sim/src/scene_files/folder.rs",
         "compared for equality: a file that was written again counts as a different file",
     ),
 ];

@@ -1,6 +1,6 @@
 //! Comparison of two policies on the command line and on the page.
 
-use libero_ctrl::{Axis, Condition, Directions, Level};
+use benchmark::{Axis, Condition, Directions, Level};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
@@ -21,7 +21,7 @@ async fn run_all(worker: &mut Worker) {
             break;
         }
         for lease in leases {
-            let success = lease.policy == "strong" || !rollout_id(&lease).contains("combination");
+            let success = lease.policy == "strong" || !rollout_id(&lease).contains("simultaneous");
             assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
         }
     }
@@ -64,7 +64,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
     assert_eq!(json["a"]["origin"]["campaign"]["name"], "b");
     let last = json["cells"].as_array().and_then(|cells| cells.last());
     let last = last.expect("a cell");
-    assert_eq!(last["condition"], "combination");
+    assert_eq!(last["condition"], "simultaneous");
     assert_eq!(last["difference"]["difference"], json!(-1.0));
     assert_eq!(last["difference"]["no_interval"], "no_spread");
     assert_eq!((&json["only_in_a"], &json["only_in_b"]), (&json!(0), &json!(40)));
@@ -180,7 +180,7 @@ async fn a_comparison_includes_progress_and_design() {
         let values = [progress.goal, progress.steps];
         values.map(|value| value.map(|row| row.difference.value))
     };
-    assert_eq!(differences(Condition::Combination), [Some(0.5), Some(-160.0)]);
+    assert_eq!(differences(Condition::Simultaneous), [Some(0.5), Some(-160.0)]);
     assert_eq!(differences(Condition::Single(Axis::Camera)), [Some(0.0), Some(0.0)]);
 }
 

@@ -3,7 +3,7 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::{AxisSet, RolloutId};
+use benchmark::{AxisSet, RolloutId};
 use paired::Outcome;
 use queue::invariants;
 use serde_json::{Value, json};

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use libero_ctrl::RolloutId;
+use benchmark::RolloutId;
 use proto::coordinator as wire;
 use serde_json::Value;
 
@@ -34,7 +34,7 @@ async fn report_page_and_table_show_the_explanation() {
     run_all(&mut worker, outcome).await;
     // Before the explanation, the page shows the command that starts it. A configuration other than
     // those below is requested, since a page is cached for a second.
-    let unexplained = "/campaigns/first/configurations/object/t1/combination/L2/c00";
+    let unexplained = "/campaigns/first/configurations/object/t1/simultaneous/L2/c00";
     let hint = page(&serve, unexplained).await;
     assert!(hint.contains("coordinator explain first"), "{hint}");
     let findings = explained(&serve, &[]).await;
@@ -68,7 +68,7 @@ async fn report_page_and_table_show_the_explanation() {
     }
     assert!(!html.contains("Paired outcomes"), "the campaign runs only parts of configurations");
 
-    let emergent = "/campaigns/first/configurations/object/t0/combination/L2/c00";
+    let emergent = "/campaigns/first/configurations/object/t0/simultaneous/L2/c00";
     let campaign = page(&serve, "/campaigns/first-explained").await;
     assert!(campaign.contains(&format!("href=\"{emergent}\"")), "{campaign}");
     let bar = "camera+robot: 2 configurations, established in 2";
@@ -167,7 +167,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     assert!(words.contains("camera+lighting+robot+sensor+actuation+language"));
     let page = page(&serve, "/campaigns/whole").await;
     assert!(page.contains("Interactions of the axes"));
-    let lattice = "/campaigns/whole/configurations/object/t6/combination/L2/c00";
+    let lattice = "/campaigns/whole/configurations/object/t6/simultaneous/L2/c00";
     let lattice = self::page(&serve, lattice).await;
     assert!(lattice.contains("64 of 64 subsets have an outcome"));
 

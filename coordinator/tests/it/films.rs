@@ -11,22 +11,22 @@ use crate::harness::{Bench, Worker, sha, small_spec, with};
 const LONG_SECS: u64 = 16 * 60;
 
 /// Creates a campaign of one configuration that stores actions, with outcomes for the nominal
-/// rollout and both single axes. Returns the lease of the combination.
-async fn commit_all_but_combination(outcome: bool) -> (Bench, Worker, wire::Lease) {
+/// rollout and both single axes. Returns the simultaneous rollout's lease.
+async fn commit_all_but_simultaneous(outcome: bool) -> (Bench, Worker, wire::Lease) {
     let spec = with(small_spec("filmed"), json!({"record": "transitions"}));
     let bench = Bench::with(&spec).await;
     let mut worker = bench.worker("a").await;
     let mut leases = worker.claim(4).await;
-    let combination = leases
+    let simultaneous = leases
         .iter()
-        .position(|lease| lease.manifest_row.contains("combination"))
-        .expect("a combination");
-    let combination = leases.remove(combination);
+        .position(|lease| lease.manifest_row.contains("simultaneous"))
+        .expect("a simultaneous rollout");
+    let simultaneous = leases.remove(simultaneous);
     for lease in &leases {
         assert!(lease.keep_actions && !lease.record_video);
         worker.commit(lease, outcome).await;
     }
-    (bench, worker, combination)
+    (bench, worker, simultaneous)
 }
 
 async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
@@ -69,9 +69,12 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 #[tokio::test]
 async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
     for outcome in [true, false] {
-        let (bench, mut worker, combination) = commit_all_but_combination(outcome).await;
-        assert!(take_films(&mut worker).await.is_empty(), "the combination has no outcome");
-        worker.commit(&combination, !outcome).await;
+        let (bench, mut worker, simultaneous) = commit_all_but_simultaneous(outcome).await;
+        assert!(
+            take_films(&mut worker).await.is_empty(),
+            "the simultaneous rollout has no outcome"
+        );
+        worker.commit(&simultaneous, !outcome).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
         assert_refused(film_of(&mut worker, "primitives", "unknown").await, Code::NotFound, &[]);
         bench.create(&small_spec("another")).await.expect("created");
@@ -81,7 +84,7 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
         let rows = all.iter().map(|film| film.manifest_row.as_str());
         let count = |name: &str| rows.clone().filter(|row| row.contains(name)).count();
         assert_eq!(all.len(), 4, "the nominal rollout, two axes, all at once");
-        assert_eq!((count("/clean/"), count("/combination/")), (1, 1));
+        assert_eq!((count("/nominal/"), count("/simultaneous/")), (1, 1));
         assert!(all.iter().all(|film| film.actions == [2; 28]));
         // One film is stored; the others were never uploaded.
         upload(&mut worker, &all[1].attempt_id).await;
@@ -95,24 +98,24 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
 
 #[tokio::test]
 async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
-    let (bench, mut worker, combination) = commit_all_but_combination(true).await;
+    let (bench, mut worker, simultaneous) = commit_all_but_simultaneous(true).await;
     let steps = proto::MAX_MOTION_STEPS;
     for (path, actions) in [(7, 28), (6, 27), (6 * (steps + 2), 0), (6, 28 * (steps + 1))] {
-        let mut report = worker.report(&combination, false);
+        let mut report = worker.report(&simultaneous, false);
         let motion = report.motion.as_mut().expect("a motion");
         (motion.path, motion.actions) = (vec![0; path], vec![0; actions]);
         assert_refused(worker.service.commit(report).await, Code::InvalidArgument, &["`motion`"]);
     }
     assert_eq!(bench.status("filmed").await.rollouts.committed, 3);
-    worker.commit(&combination, false).await;
+    worker.commit(&simultaneous, false).await;
     assert_eq!(bench.status("filmed").await.rollouts.committed, 4);
 }
 
 #[tokio::test]
 async fn a_configuration_without_a_transition_is_not_filmed() {
     for outcome in [true, false] {
-        let (_bench, mut worker, combination) = commit_all_but_combination(outcome).await;
-        worker.commit(&combination, outcome).await;
+        let (_bench, mut worker, simultaneous) = commit_all_but_simultaneous(outcome).await;
+        worker.commit(&simultaneous, outcome).await;
         assert!(take_films(&mut worker).await.is_empty());
     }
 }

@@ -81,7 +81,7 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
             &["its `replicate` is not that of its manifest row"],
         ),
         (
-            "UPDATE job SET rollout_id = 'object/t0/clean/i49'
+            "UPDATE job SET rollout_id = 'object/t0/nominal/i49'
              WHERE id = (SELECT max(id) FROM job)",
             &["its `rollout_id` is not that of its manifest row"],
         ),
@@ -175,7 +175,7 @@ async fn an_archive_whose_times_lie_days_ahead_is_refused() {
 async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused() {
     let mut source = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
     while let Some(lease) = source.worker.claim(1).await.pop() {
-        let success = rollout_id(&lease).contains("clean");
+        let success = rollout_id(&lease).contains("nominal");
         let verdict = source.worker.commit(&lease, success).await;
         assert_eq!(verdict, Verdict::Accepted);
     }

@@ -141,7 +141,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     assert_eq!(ids(&["--level", "L2"]).len(), 0);
     let camera_ids = ids(&["--condition", "camera", "--task", "libero_object/0"]);
     assert_eq!(camera_ids, ["object/t0/camera/L1/c00"]);
-    for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
+    for (name, id) in [("nominal", "nominal"), ("simultaneous", "simultaneous")] {
         let listed = ids(&["--condition", name]);
         assert_eq!(listed.len(), 2);
         assert!(listed.iter().all(|rollout| rollout.contains(id)), "{listed:?}");

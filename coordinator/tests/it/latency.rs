@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use libero_ctrl::{RolloutId, delay_at};
+use benchmark::{RolloutId, delay_at};
 use paired::Outcome;
 use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};

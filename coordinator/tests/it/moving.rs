@@ -24,7 +24,7 @@ use crate::process::{Serve, succeed, text};
 
 static WORKERS: AtomicU32 = AtomicU32::new(0);
 
-/// Three axes and their combination at three levels, and one nominal rollout: 13 rollouts.
+/// Three axes, alone and simultaneous, at three levels, and one nominal rollout: 13 rollouts.
 pub(crate) fn spec() -> Value {
     with(
         small_spec("moved"),

@@ -238,7 +238,7 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
     assert_eq!(first.len(), 3);
     assert_eq!(list("", first[2].job_id.0, 3).await.len(), 1);
     assert_eq!(list("queued", 0, 64).await.len(), 3);
-    assert_eq!(list("leased", 0, 64).await[0].rollout_id, "object/t0/clean/i16");
+    assert_eq!(list("leased", 0, 64).await[0].rollout_id, "object/t0/nominal/i16");
     let request = wire::ListJobsRequest {
         campaign: "paged".to_owned(),
         state: "lost".to_owned(),
@@ -318,9 +318,9 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     worker.release(&failed, Reason::PolicyMisbehaved).await;
     let failing = ["failing      1 rollout not in quarantine yet", "simulated failure"];
     run(&["campaign", "status", "demo"], 0, &failing);
-    run(&["jobs", "show", "demo", "object/t0/clean/i16"], 0, &["attempt 1 by slow-1 on bench"]);
-    run(&["jobs", "show", "demo", "object/t0/clean/i16#rx"], 2, &["#r1"]);
-    run(&["jobs", "show", "demo", "object/t9/clean/i1"], 1, &["no such rollout"]);
+    run(&["jobs", "show", "demo", "object/t0/nominal/i16"], 0, &["attempt 1 by slow-1 on bench"]);
+    run(&["jobs", "show", "demo", "object/t0/nominal/i16#rx"], 2, &["#r1"]);
+    run(&["jobs", "show", "demo", "object/t9/nominal/i1"], 1, &["no such rollout"]);
     run(&["jobs", "retry", "demo"], 2, &["<ROLLOUTS>"]);
     run(&["jobs", "retry", "demo", "--all"], 0, &["nothing is in quarantine"]);
     run(&["campaign", "pause", "demo"], 0, &["demo is paused"]);

@@ -301,12 +301,12 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     assert!(refused.message().contains("it is committed"), "{refused}");
     assert_eq!(bench.status("some").await.rollouts.leased, 1, "neither or both are skipped");
     assert_eq!(
-        skip(&[running.clone(), id("combination"), running]).await.expect("skipped"),
+        skip(&[running.clone(), id("simultaneous"), running]).await.expect("skipped"),
         2,
         "a job that is named twice counts once"
     );
     assert_eq!(bench.status("some").await.rollouts.quarantined, 2);
-    let card = "GET /campaigns/some/configurations/object/t0/combination/L1/c00";
+    let card = "GET /campaigns/some/configurations/object/t0/simultaneous/L1/c00";
     let page = http(&bench.url, card).await.text();
     assert!(page.contains("skipped by an operator"), "{page}");
     assert_eq!(bench.count("SELECT sum(charged_attempts) FROM job").await, 0);

@@ -102,7 +102,7 @@ async fn half_finished() -> Bench {
 #[tokio::test(flavor = "multi_thread")]
 async fn every_page_shows_its_content_and_loads_nothing_external() {
     let bench = half_finished().await;
-    let configuration = "/campaigns/begun/configurations/object/t0/combination/L1/c00";
+    let configuration = "/campaigns/begun/configurations/object/t0/simultaneous/L1/c00";
     for (address, words) in [
         ("/", &["Campaigns", "begun", "50 %", "2 of 4 rollouts", "expert"][..]),
         (
@@ -217,7 +217,7 @@ async fn text_from_workers_is_escaped_in_pages() {
     let mut worker = bench.worker("<script>alert(1)</script>").await;
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::SimulatorError).await;
-    for address in ["/workers", "/campaigns/tricked/configurations/object/t0/clean/i16"] {
+    for address in ["/workers", "/campaigns/tricked/configurations/object/t0/nominal/i16"] {
         let page = http(&bench.url, &format!("GET {address}")).await.text();
         assert!(page.contains("&lt;script&gt;alert"), "{page}");
         assert!(!page.contains("<script>alert"), "{page}");
@@ -231,7 +231,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
     worker.commit(&lease, true).await;
     let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();
     put(&mut worker, &lease, "video.mp4", std::slice::from_ref(&film)).await.expect("stored");
-    let address = "/campaigns/filmed/videos/object/t0/clean/i16?replicate=0";
+    let address = "/campaigns/filmed/videos/object/t0/nominal/i16?replicate=0";
     let whole = http(&bench.url, &format!("GET {address}")).await;
     assert_eq!((whole.code, whole.header("accept-ranges")), (200, Some("bytes")));
     assert_eq!(whole.header("content-type"), Some("video/mp4"));
@@ -462,7 +462,7 @@ async fn concurrent_page_requests_do_not_block_each_other() {
     let addresses = [
         "/",
         "/campaigns/begun",
-        "/campaigns/begun/configurations/object/t0/combination/L1/c00",
+        "/campaigns/begun/configurations/object/t0/simultaneous/L1/c00",
         "/campaigns/begun/rollouts?state=committed",
         "/workers",
         "/policies",

@@ -1,10 +1,10 @@
 //! Results that are inconsistent with those of their siblings, the rollouts from the same initial
 //! state of a task, are refused.
 
-use libero_ctrl::Axis;
+use benchmark::Axis;
+use benchmark::attempt::{CONNECTED_SINCE, IkResidual, Measurement, Realised, RealisedAxis};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
-use rollout_types::{CONNECTED_SINCE, IkResidual, Measurement, Realised, RealisedAxis};
 use serde_json::{Value, json};
 use tonic::Code;
 
@@ -34,7 +34,7 @@ async fn a_result_unlike_its_siblings_or_its_campaign_is_refused_with_the_differ
     let cases: [(Alter<'_>, &[&str]); 7] = [
         (
             &set(|of| &mut of.result.digests.scene, &other),
-            &["scene digest", &other, "object/t0/clean", "worker `a`"],
+            &["scene digest", &other, "object/t0/nominal", "worker `a`"],
         ),
         (&set(|of| &mut of.result.digests.init_state, &other), &["initial-state digest", &other]),
         (
@@ -85,7 +85,7 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
     assert_eq!(replicate.0, Verdict::Unpaired);
 }
 
-/// Returns the leases of a campaign of one configuration: nominal, single axes, combination, and
+/// Returns the leases of a campaign of one configuration: nominal, single axes, simultaneous, and
 /// then the same rollouts of the second replicate, if there is one.
 async fn leases_of(changes: Value) -> (Bench, Worker, Vec<wire::Lease>) {
     let spec = with(small_spec("paired"), changes);
@@ -113,14 +113,14 @@ fn shift_elements(measurement: &mut Measurement, axis: Axis, by: f64) {
 }
 
 #[tokio::test]
-async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() {
+async fn an_axis_realised_differently_in_simultaneous_is_refused_and_named() {
     let (_bench, mut worker, leases) = leases_of(json!({})).await;
-    let [clean, camera, sensor, combination] = leases.as_slice() else {
+    let [nominal, camera, sensor, simultaneous] = leases.as_slice() else {
         panic!("{} leases", leases.len());
     };
-    worker.commit_all([clean, camera, sensor], true).await;
+    worker.commit_all([nominal, camera, sensor], true).await;
     let shifted = |of: &mut Measurement| shift_elements(of, Axis::Sensor, 0.5);
-    let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
+    let (verdict, detail) = commit_altered(&mut worker, simultaneous, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert_contains(
         &detail,
@@ -176,17 +176,17 @@ async fn conditions_without_visual_perturbation_must_have_the_nominal_first_fram
         let frame = sha(frame);
         commit_altered(&mut worker, lease, |of| of.result.digests.first_frame = frame).await
     };
-    let [clean, camera, actuation, language, combination] = leases.as_slice() else {
+    let [nominal, camera, actuation, language, simultaneous] = leases.as_slice() else {
         panic!("{} leases", leases.len());
     };
-    for (lease, frame) in [(clean, "nominal"), (camera, "moved"), (actuation, "nominal")] {
+    for (lease, frame) in [(nominal, "nominal"), (camera, "moved"), (actuation, "nominal")] {
         assert_eq!(commit_frame(lease, frame).await.0, Verdict::Accepted);
     }
     let (verdict, detail) = commit_frame(language, "moved").await;
     assert_eq!(verdict, Verdict::Unpaired);
-    assert!(detail.contains("object/t0/clean/i"), "{detail}");
-    // In this combination, only the camera axis affects the first frame.
-    let (verdict, detail) = commit_frame(combination, "nominal").await;
+    assert!(detail.contains("object/t0/nominal/i"), "{detail}");
+    // In this simultaneous rollout, only the camera axis affects the first frame.
+    let (verdict, detail) = commit_frame(simultaneous, "nominal").await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("object/t0/camera/L1/c00"), "{detail}");
 }

@@ -126,7 +126,7 @@ fn tasks_of(source: &str) -> Vec<&str> {
 
 #[test]
 fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
-    let mut names = tasks_of(include_str!("../../../crates/service/queue/src/queue.rs"));
+    let mut names = tasks_of(include_str!("../../../crates/queue/src/queue.rs"));
     names.extend(tasks_of(include_str!("../../src/serve.rs")));
     assert!(names.len() >= 7, "{names:?}");
     for name in names {

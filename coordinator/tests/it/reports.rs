@@ -1,10 +1,10 @@
 //! Content of the report, which does not depend on the faults that occur while a campaign runs.
 
+use benchmark::attempt::Measurement;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use report::Document;
-use rollout_types::Measurement;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
@@ -18,9 +18,9 @@ fn spec() -> Value {
     with(small_spec("reported"), json!({"tasks": tasks, "configs": [0, 1]}))
 }
 
-/// Returns the outcome of a deterministic policy, which fails only under the combination in task 0.
+/// Returns the outcome of a deterministic policy, which fails only simultaneously in task 0.
 fn outcome(lease: &wire::Lease) -> bool {
-    !rollout_id(lease).starts_with("object/t0/combination")
+    !rollout_id(lease).starts_with("object/t0/simultaneous")
 }
 
 async fn run_all(bench: &Bench, worker: &mut Worker) {
@@ -207,7 +207,7 @@ async fn the_report_leaves_out_other_realisation_modes_with_a_warning() {
          SELECT 99, json_set(origin, '$.mujoco_version', '3.9.9', '$.realisation', 'reference')
          FROM provenance",
         "UPDATE result SET provenance_id = 99 WHERE job_id =
-             (SELECT id FROM job WHERE rollout_id = 'object/t0/combination/L1/c01')",
+             (SELECT id FROM job WHERE rollout_id = 'object/t0/simultaneous/L1/c01')",
     ] {
         sqlx::query(alter).execute(&pool).await.expect("altered");
     }
@@ -257,7 +257,9 @@ fn a_rate_published_for_one_suite_has_its_own_gate() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let row = |task: u32, state: u32| {
         let success = state != 0;
-        format!("{{\"rollout_id\": \"goal/t{task}/clean/i{state:02}\", \"success\": {success}}}\n")
+        format!(
+            "{{\"rollout_id\": \"goal/t{task}/nominal/i{state:02}\", \"success\": {success}}}\n"
+        )
     };
     let rows: String =
         (0..10).flat_map(|task| (0..50).map(move |state| row(task, state))).collect();

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
-use libero_ctrl::RolloutId;
+use benchmark::RolloutId;
 use paired::Outcome;
 use proto::coordinator::commit_response::Verdict;
 use queue::{FAILPOINT_VARIABLE, Side, Step, invariants};

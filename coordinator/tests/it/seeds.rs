@@ -13,7 +13,7 @@ const REPLICATES: u32 = 3;
 const CAMERA: (&str, [u64; 3]) =
     ("object/t0/camera/L1/c00", [2_407_598_533, 1_434_740_286, 3_431_806_852]);
 /// `zlib.crc32` of the id of another condition of the same configuration.
-const COMBINATION: (&str, u64) = ("object/t0/combination/L1/c00", 2_351_656_207);
+const SIMULTANEOUS: (&str, u64) = ("object/t0/simultaneous/L1/c00", 2_351_656_207);
 
 fn spec(name: &str, realisation: &str) -> Value {
     with(
@@ -46,7 +46,7 @@ async fn seeds_match_the_protocol_in_every_campaign_and_differ_between_rollouts(
     for (replicate, seed) in (0..).zip(CAMERA.1) {
         assert_eq!(matched[&(CAMERA.0.to_owned(), replicate)], seed);
     }
-    assert_eq!(matched[&(COMBINATION.0.to_owned(), 0)], COMBINATION.1);
+    assert_eq!(matched[&(SIMULTANEOUS.0.to_owned(), 0)], SIMULTANEOUS.1);
     let distinct: BTreeSet<u64> = matched.values().copied().collect();
     assert_eq!(distinct.len(), matched.len(), "{matched:?}");
     let reference = seeds(&run(&bench, &spec("reference", "reference")).await);

@@ -4,7 +4,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
 
-use libero_ctrl::{CampaignSpec, ManifestRow, RolloutId};
+use benchmark::{CampaignSpec, ManifestRow, RolloutId};
 use paired::{CampaignLook, Outcome, Record, Records};
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
@@ -38,7 +38,7 @@ fn succeeds(id: &RolloutId) -> bool {
     let condition = id.condition().to_string();
     match id.task().index() {
         0 | 1 => condition != "robot",
-        2..5 => condition != "combination",
+        2..5 => condition != "simultaneous",
         _ => true,
     }
 }

@@ -29,7 +29,7 @@ async fn a_pair_that_fails_while_its_axes_alone_succeed_is_reported() {
         }
         for lease in leases {
             let id = rollout_id(&lease);
-            let fails = id.contains("camera+robot") || id.contains("combination");
+            let fails = id.contains("camera+robot") || id.contains("simultaneous");
             assert_eq!(worker.commit(&lease, !fails).await, Verdict::Accepted);
         }
     }
@@ -42,7 +42,7 @@ async fn a_pair_that_fails_while_its_axes_alone_succeed_is_reported() {
     assert_contains(&words, &lines);
     let rows = http(&serve.url, "GET /campaigns/pairs").await.text();
     assert!(rows.contains("camera+robot"), "{rows}");
-    let configuration = "GET /campaigns/pairs/configurations/object/t0/combination/L1/c00";
+    let configuration = "GET /campaigns/pairs/configurations/object/t0/simultaneous/L1/c00";
     let cards = http(&serve.url, configuration).await.text();
     assert!(cards.contains("camera+robot"), "{cards}");
 }

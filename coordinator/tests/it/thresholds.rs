@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::{Condition, RolloutId};
+use benchmark::{Condition, RolloutId};
 use paired::Outcome;
 use queue::invariants;
 use serde_json::{Value, json};
@@ -22,8 +22,8 @@ fn failure_radius(id: &RolloutId) -> f64 {
         // Fails even nominally.
         (_, 9) => 0.0,
         // Fails at no radius that is run.
-        (Condition::Single(libero_ctrl::Axis::Robot), 0) => 50.0,
-        (Condition::Combination, _) => 0.7 + task / 2.0,
+        (Condition::Single(benchmark::Axis::Robot), 0) => 50.0,
+        (Condition::Simultaneous, _) => 0.7 + task / 2.0,
         _ => 1.3 + task,
     }
 }
@@ -31,10 +31,10 @@ fn failure_radius(id: &RolloutId) -> f64 {
 fn outcome(id: &RolloutId) -> Outcome {
     let (radius, from) = (id.level().radius(), failure_radius(id));
     // Under the robot axis, the second task recovers at a larger radius.
-    let robot = Condition::Single(libero_ctrl::Axis::Robot);
+    let robot = Condition::Single(benchmark::Axis::Robot);
     let recovers = id.condition() == robot && id.task().index() == 1 && radius == 8.0;
     match id.condition() {
-        Condition::Clean => Outcome::from(from > 0.0),
+        Condition::Nominal => Outcome::from(from > 0.0),
         _ => Outcome::from(radius < from || recovers),
     }
 }
@@ -99,7 +99,7 @@ async fn planted_thresholds_are_found_again() {
         let radius = half["radius"].as_f64().expect("half of them fail");
         // Mean of the fifth and sixth of ten thresholds, one of which is 0.
         let median = match curve["condition"].as_str() {
-            Some("combination") => 2.45,
+            Some("simultaneous") => 2.45,
             Some("camera") => 4.8,
             _ => 5.8,
         };
@@ -151,7 +151,7 @@ async fn planted_thresholds_are_found_again() {
         assert!(page.contains(words), "{words}");
     }
     // At L1 this task fails under both axes only, but a derived campaign cannot be explained.
-    let transition = "/campaigns/first-thresholds/configurations/object/t2/combination/L1/c00";
+    let transition = "/campaigns/first-thresholds/configurations/object/t2/simultaneous/L1/c00";
     let page = http(&serve.url, &format!("GET {transition}")).await;
     assert_eq!(page.code, 200, "{transition}");
     assert!(!page.text().contains("coordinator explain"), "{transition}");
@@ -178,7 +178,7 @@ async fn language_is_measured_at_its_own_levels_only() {
     assert_eq!(findings_json["rollouts"], 4);
     let jobs = serve.command(&["jobs", "list", "first-thresholds"]);
     for level in ["L1", "L3"] {
-        for condition in ["language", "combination"] {
+        for condition in ["language", "simultaneous"] {
             let id = format!("object/t4/{condition}/{level}/c00");
             assert!(text(&jobs.stdout).contains(&id), "{id}");
         }
@@ -204,7 +204,7 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     refused(&["thresholds", "second"], "no such campaign");
     refused(&first(&["--tolerance", "0"]), "write a radius, 0.01 to 100");
     refused(&first(&["--max-radius", "far"]), "write a radius, 2 to 100");
-    for wrong in ["camrea", "clean", ""] {
+    for wrong in ["camrea", "nominal", ""] {
         refused(&first(&["--axes", wrong]), "write axes such as camera,robot");
     }
     let missing_condition =

@@ -4,7 +4,7 @@ use tonic::codegen::http::Request;
 
 use super::*;
 
-#[path = "../../../crates/service/transport/tests/walk/mod.rs"]
+#[path = "../../../crates/transport/tests/walk/mod.rs"]
 mod walk;
 
 use walk::{Credentials, OPERATOR, Table, calls_of, guarded, is_call, open, walk};

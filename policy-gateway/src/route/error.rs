@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, shorten::shorten};
-use policy_protocol::ActionFault;
+use proto::checks::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{chain, is_outage_code};

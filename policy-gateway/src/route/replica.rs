@@ -188,7 +188,7 @@ impl Replica {
         agrees: impl FnOnce(&DescribeResponse) -> Result<(), String>,
     ) -> Result<DescribeResponse, BackendError> {
         let described = self.call_within_limit(call, self.backend.describe(suite)).await?;
-        policy_protocol::description(&described)
+        proto::checks::description(&described)
             .map_err(|fault| BackendError::Description { policy: described.name.clone(), fault })?;
         if let Err(difference) = agrees(&described) {
             let difference = shorten(&difference);
@@ -242,7 +242,7 @@ impl Replica {
             guard.end();
         }
         let checked =
-            answer.and_then(|response| match policy_protocol::actions(&response, horizon) {
+            answer.and_then(|response| match proto::checks::actions(&response, horizon) {
                 Ok(_) => Ok(response),
                 Err(fault) => Err(BackendError::InvalidActions { fault }),
             });

@@ -136,7 +136,7 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     }
     let query = Cell::new(0);
     let judged = TestRunner::default().run(&answers(), |response| {
-        let fault = policy_protocol::actions(&response, HORIZON).err();
+        let fault = proto::checks::actions(&response, HORIZON).err();
         *scripted.lock().expect("no panic") = response;
         let index = query.replace(query.get() + 1);
         let [direct, through] = workers.borrow_mut().each_mut().map(|worker| {
@@ -165,7 +165,7 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
 
     let workers = RefCell::new([server.address, gateway.address].map(worker));
     let judged = TestRunner::default().run(&descriptions(), |description| {
-        let fault = policy_protocol::description(&description).err();
+        let fault = proto::checks::description(&description).err();
         *scripted.lock().expect("no panic") = description;
         // Drops the previous description, which the policy would otherwise have to match.
         handle.reload(&config).expect("the same route");

@@ -14,14 +14,14 @@ mod crowd;
 mod json_keys;
 mod judgement;
 mod outages;
-#[path = "../../../crates/policies/policy-doctor/tests/it/planted.rs"]
+#[path = "../doctor/planted.rs"]
 #[allow(dead_code, reason = "only the tests of policy-doctor use all of this file")]
 mod planted;
 mod program;
 mod recordings;
 mod replicas;
 mod routing;
-#[path = "../../../crates/policies/policy-doctor/tests/it/scripted.rs"]
+#[path = "../doctor/scripted.rs"]
 #[allow(dead_code, reason = "only the tests of policy-doctor use all of this file")]
 mod scripted;
 mod sessions;

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use libero_ctrl::RolloutId;
+use benchmark::RolloutId;
+use benchmark::attempt::AttemptId;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferRequest, InferResponse,
     Observation, ResetRequest, ResetResponse, policy_server::Policy,
 };
-use rollout_types::AttemptId;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 use transport::Access;
@@ -59,7 +59,7 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     let endpoint = format!("grpc://{}", address(&mut gateway));
 
     let rollouts = tokio::task::spawn_blocking(move || {
-        let rollout: RolloutId = "object/t0/clean/i03".parse().expect("an id");
+        let rollout: RolloutId = "object/t0/nominal/i03".parse().expect("an id");
         let episodes = [1_u8, 2].map(|campaign| Episode {
             session: Session::new(&rollout, 0, AttemptId::from_random([campaign; 16])),
             seed: campaign.into(),

@@ -1,6 +1,6 @@
 //! State of NumPy's legacy generator, in the form of `numpy.random.get_state()`.
 
-use libero_ctrl::numpy::{LegacyRng, LegacyState};
+use benchmark::numpy::{LegacyRng, LegacyState};
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
 use pyo3::prelude::*;
 

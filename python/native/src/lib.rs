@@ -47,7 +47,7 @@ mod _native {
     /// Names of the looks, the default first.
     #[pymodule_export]
     const LOOKS: [&str; 2] = {
-        let [default, other] = libero_ctrl::Look::ALL;
+        let [default, other] = benchmark::Look::ALL;
         [default.name(), other.name()]
     };
 

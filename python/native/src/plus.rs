@@ -3,10 +3,10 @@
 
 use std::path::PathBuf;
 
-use libero_ctrl::Suite;
-use libero_family::corruption;
-use libero_family::plus::{self, BddlPath, CameraPose, Entry, ProblemClass, Variant};
-use libero_family::plus::{Prompt, entry, inventory, start_posture};
+use benchmark::Suite;
+use benchmark::family::corruption;
+use benchmark::family::plus::{self, BddlPath, CameraPose, Entry, ProblemClass, Variant};
+use benchmark::family::plus::{Prompt, entry, inventory, start_posture};
 use numpy::{PyArray1, PyArrayDyn, PyReadonlyArray3, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use scene::Sources;

@@ -3,8 +3,8 @@ use std::ffi::CString;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 
-use libero_ctrl::Look;
-use libero_ctrl::presets::ENV_SEED;
+use benchmark::Look;
+use benchmark::presets::ENV_SEED;
 use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
 use scene::{AssetPack, InstanceKind, SceneError, Sources, TaskFiles, compose};

@@ -1,4 +1,4 @@
-use libero_ctrl::{ACTION_WIDTH, Action, Execution, TaskRef};
+use benchmark::{ACTION_WIDTH, Action, Execution, TaskRef};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 
@@ -13,7 +13,7 @@ type Query<'py> = (u32, Bound<'py, PyArrayDyn<f64>>);
 #[pyclass(module = "rollout_libero._native")]
 pub(crate) struct Schedule {
     execution: Execution,
-    inner: libero_ctrl::Schedule,
+    inner: benchmark::Schedule,
 }
 
 #[pymethods]
@@ -29,7 +29,7 @@ impl Schedule {
             ));
         }
         let execute = execute.unwrap_or(usize::MAX);
-        let inner = libero_ctrl::Schedule::new(execution.clone(), execute, task, init_state);
+        let inner = benchmark::Schedule::new(execution.clone(), execute, task, init_state);
         Ok(Self { execution, inner })
     }
 

@@ -1,5 +1,5 @@
-use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{ManifestRow, Realisation, RolloutId, TaskRef, row_of};
+use benchmark::numpy::LegacyRng;
+use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef, row_of};
 use pyo3::prelude::*;
 use serde::Deserialize;
 use sim::episode::NO_OP;
@@ -184,7 +184,7 @@ pub(crate) fn configuration_row(id: &str) -> PyResult<String> {
 #[pyfunction]
 pub(crate) fn nominal_row(task: &str, initial_state: u16) -> PyResult<String> {
     let task: TaskRef = task.parse().map_err(value)?;
-    let id = RolloutId::clean(task, initial_state);
+    let id = RolloutId::nominal(task, initial_state);
     let row = ManifestRow::new(id, initial_state, initial_state, Default::default());
     Ok(json(&row))
 }

@@ -24,7 +24,7 @@ def test_results_are_the_exported_rows_with_types(measured):
     for key in rows[0]:
         expected = [row[key] for row in rows]
         assert [None if pd.isna(value) else value for value in results[key]] == expected, key
-    assert set(results["axis"]) == {"clean", "camera", "actuation", "combination"}
+    assert set(results["axis"]) == {"nominal", "camera", "actuation", "simultaneous"}
     assert results["success"].dtype == "bool"
     assert results["config"].dtype == "Int64"
     assert (results["replicate"] == 0).all()
@@ -85,7 +85,7 @@ def test_emergent_and_compensated_configurations_are_as_many_as_the_paired_table
     assert list(paired.index) == ["L1", "L2", "L3"]
     assert dict(report.emergent.groupby("level").size()) == dict(paired["b"])
     assert dict(report.compensated.groupby("level").size()) == dict(paired["c"])
-    assert report.emergent["conjunction"].all() and not report.emergent["combination"].any()
+    assert report.emergent["conjunction"].all() and not report.emergent["simultaneous"].any()
     assert (paired["i_ci95_low"] <= paired["i"]).all()
     assert (paired["i"] <= paired["i_ci95_high"]).all()
     json_rows = report.json["paired"]["OpenVLA-OFT"]
@@ -142,10 +142,10 @@ def test_a_campaign_compared_with_itself_differs_in_nothing(measured):
     comparison = campaign.compare(campaign)
     cells = comparison.cells.set_index(["level", "condition"])
     assert set(cells.index) == {
-        ("L0", "clean"),
+        ("L0", "nominal"),
         ("L1", "camera"),
         ("L1", "actuation"),
-        ("L1", "combination"),
+        ("L1", "simultaneous"),
     }
     assert (cells["n"] == 2).all()
     assert (cells["difference"] == 0).all()

@@ -10,7 +10,7 @@ from PIL import Image
 from .conftest import TASK
 
 STEPS = 6
-AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language", "combination")
+AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language", "simultaneous")
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 
 
@@ -22,7 +22,7 @@ def actions_beyond_range():
 @pytest.mark.parametrize("axis", [*AXES, None])
 def test_a_rollout_is_bit_identical_to_a_campaigns(make, programs, tmp_path, axis):
     task = TASK.removeprefix("libero_").replace("/", "/t")
-    rollout = f"{task}/clean/i03" if axis is None else f"{task}/{axis}/L3/c02"
+    rollout = f"{task}/nominal/i03" if axis is None else f"{task}/{axis}/L3/c02"
     actions = actions_beyond_range()
     np.save(tmp_path / "actions.npy", actions)
     subprocess.run(

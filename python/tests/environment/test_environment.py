@@ -62,8 +62,8 @@ def test_success_ends_a_rollout_and_the_rest_of_its_chunk(make):
 
 def test_a_configuration_sets_instruction_and_perturbations(make):
     nominal = make()
-    perturbed = make(perturbation="combination/L2/c03")
-    whole = make(perturbation="goal/t0/combination/L2/c03")
+    perturbed = make(perturbation="simultaneous/L2/c03")
+    whole = make(perturbation="goal/t0/simultaneous/L2/c03")
     observation, info = perturbed.reset()
     assert info["instruction"] == whole.instruction != nominal.instruction
     same, _ = nominal.reset(options={"init_state": info["init_state"]})
@@ -71,7 +71,7 @@ def test_a_configuration_sets_instruction_and_perturbations(make):
         assert not np.array_equal(observation[name], same[name]), name
     assert_same(observation, whole.reset()[0])
     with pytest.raises(ValueError, match="libero_goal/1"):
-        make(perturbation="goal/t1/combination/L2/c03")
+        make(perturbation="goal/t1/simultaneous/L2/c03")
 
 
 def test_sampled_placements_differ_by_seed_alone(make):
@@ -121,7 +121,7 @@ def test_an_invalid_row_is_refused_at_once(make):
 
 
 def test_poses_under_perturbed_actuation_are_refused(make, make_vector):
-    for axis in ("actuation", "combination"):
+    for axis in ("actuation", "simultaneous"):
         with pytest.raises(ValueError, match=r"control='relative'.*without the actuation axis"):
             make(control="absolute", perturbation=f"{axis}/L1/c00")
     environment = make(control="absolute", cameras=[], perturbation="robot/L1/c00")

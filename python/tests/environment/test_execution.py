@@ -68,7 +68,7 @@ def endpoint():
 def test_an_execution_model_gives_a_campaigns_bits(
     make_vector, endpoint, programs, tmp_path, model
 ):
-    rollout = "goal/t0/combination/L2/c03"
+    rollout = "goal/t0/simultaneous/L2/c03"
     subprocess.run(
         [programs / "worker", "rollout", "--id", rollout, "--endpoint", endpoint,
          "--execution", model, "--no-video", "--assets", "primitives", "--output", tmp_path],

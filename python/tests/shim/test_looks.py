@@ -24,7 +24,7 @@ Frames = dict[str, NDArray[np.uint8]]
 def of_the_worker(look: str, programs: Path, folder: Path) -> Frames:
     np.save(folder / "actions.npy", REST[None])
     subprocess.run(
-        [programs / "worker", "rollout", "--id", f"object/t0/clean/i{STATE:02}",
+        [programs / "worker", "rollout", "--id", f"object/t0/nominal/i{STATE:02}",
          "--actions", folder / "actions.npy", "--look", look, "--output", folder / look],
         capture_output=True, text=True, check=True,
     )  # fmt: skip

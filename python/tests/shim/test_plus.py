@@ -21,7 +21,7 @@ from rollout_libero._native import PlusPath, PlusVariant
 pytestmark = pytest.mark.usefixtures("plus_files")
 
 ROOT = Path(__file__).resolve().parents[3]
-FAMILY = ROOT / "crates/benchmark/libero-family/tests/recorded"
+FAMILY = ROOT / "crates/benchmark/tests/recorded"
 NO_OP = [0.0] * 6 + [-1.0]
 #: Seed of the recorded states.
 SEED = 7

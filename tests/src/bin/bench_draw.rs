@@ -9,9 +9,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result};
+use benchmark::{Realisation, RolloutId, TaskRef};
 use clap::Parser;
-use libero_ctrl::{Realisation, RolloutId, TaskRef};
-use policy_protocol::CAMERAS;
+use proto::checks::CAMERAS;
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{
@@ -36,12 +36,12 @@ struct Arguments {
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = LIBERO)]
     assets: String,
-    /// Conditions, separated by commas, for example clean/i00 or camera/L3/c07. Without a value:
+    /// Conditions, separated by commas, for example nominal/i00 or camera/L3/c07. Without a value:
     /// four perturbed cameras and four perturbed lights.
     #[arg(
         long,
         value_delimiter = ',',
-        default_value = "clean/i00",
+        default_value = "nominal/i00",
         num_args = 0..=1,
         default_missing_value = PERTURBED
     )]
@@ -165,13 +165,13 @@ fn tasks(names: &[String]) -> Result<Vec<TaskRef>> {
     names.iter().map(parse).collect()
 }
 
-fn row_of(task: TaskRef, condition: &str) -> Result<libero_ctrl::ManifestRow> {
+fn row_of(task: TaskRef, condition: &str) -> Result<benchmark::ManifestRow> {
     let suite = task.suite().short_name();
     let id = format!("{suite}/t{}/{condition}", task.index());
     let id: RolloutId = id.parse().with_context(|| {
-        format!("read condition `{condition}` of --conditions: clean/i00, camera/L3/c07, …")
+        format!("read condition `{condition}` of --conditions: nominal/i00, camera/L3/c07, …")
     })?;
-    Ok(libero_ctrl::row_of(id)?)
+    Ok(benchmark::row_of(id)?)
 }
 
 /// Renders a square frame of one camera, `side` pixels wide.
@@ -223,7 +223,7 @@ impl Bench {
         Ok(Self { ours, theirs, clock, totals: Totals::default() })
     }
 
-    fn draw(&mut self, row: &libero_ctrl::ManifestRow, arguments: &Arguments) -> Result<()> {
+    fn draw(&mut self, row: &benchmark::ManifestRow, arguments: &Arguments) -> Result<()> {
         let clock = self.clock;
         let mut ours = self.ours.begin(row, Realisation::Matched)?;
         let mut theirs = match &mut self.theirs {

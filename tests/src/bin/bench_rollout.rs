@@ -12,8 +12,8 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use anyhow::{Context, Result, ensure};
+use benchmark::{ManifestRow, Query, Realisation, TaskRef};
 use clap::Parser;
-use libero_ctrl::{ManifestRow, Query, Realisation, TaskRef};
 use prost::Message;
 use proto::policy::Observation;
 use scene::pack::LIBERO;
@@ -303,8 +303,8 @@ fn run(arguments: &Arguments) -> Result<()> {
 
 fn motion(arguments: &Arguments, sources: &Sources) -> Result<(ManifestRow, Vec<Action>)> {
     let task = arguments.task;
-    let id = format!("{}/t{}/clean/i00", task.suite().short_name(), task.index());
-    let mut row = libero_ctrl::row_of(id.parse()?)?;
+    let id = format!("{}/t{}/nominal/i00", task.suite().short_name(), task.index());
+    let mut row = benchmark::row_of(id.parse()?)?;
     row.max_steps = arguments.steps;
     let Some(path) = &arguments.actions else {
         let actions = (0..arguments.steps as usize).map(smooth_action);
@@ -330,9 +330,9 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
     let actions = array("actions")?;
     let count = actions.shape.first().copied().unwrap_or_default();
     ensure!(
-        count > 0 && actions.shape == [count, policy_protocol::ACTION_WIDTH],
+        count > 0 && actions.shape == [count, proto::checks::ACTION_WIDTH],
         "its `actions` are not rows of {} numbers",
-        policy_protocol::ACTION_WIDTH
+        proto::checks::ACTION_WIDTH
     );
     let rows = (0..count).map(|step| Ok(actions.row(step).try_into()?));
     Ok((u16::try_from(init_id)?, rows.collect::<Result<_>>()?))

@@ -16,7 +16,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use std::{process, thread};
 
-use rollout_types::{
+use benchmark::attempt::{
     AttemptId, Digests, GoalProgress, Motion, Parts, Pin, Provenance, Realised, RolloutResult,
 };
 use sha2::{Digest, Sha256};

@@ -4,12 +4,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{Benchmark, ManifestRow, Suite, TaskRef};
-use libero_family::plus::{Variant, entry};
-use libero_family::pro::ProSuite;
-use libero_family::{Case, Subject};
-use policy_protocol::CAMERAS;
+use benchmark::family::plus::{Variant, entry};
+use benchmark::family::pro::ProSuite;
+use benchmark::family::{Case, Subject};
+use benchmark::numpy::LegacyRng;
+use benchmark::{Benchmark, ManifestRow, Suite, TaskRef};
+use proto::checks::CAMERAS;
 use scene::{AssetPack, Sources, TaskFiles};
 use sha2::{Digest, Sha256};
 use sim::{

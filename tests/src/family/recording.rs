@@ -6,7 +6,7 @@ use std::path::Path;
 use anyhow::{Context, Result, ensure};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use libero_ctrl::Benchmark;
+use benchmark::Benchmark;
 
 /// Folder of the recordings and of the committed pictures.
 pub const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/family");

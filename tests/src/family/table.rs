@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
-use libero_ctrl::Benchmark;
+use benchmark::Benchmark;
 
 use super::comparison::Findings;
 use crate::fidelity::FrameFindings;

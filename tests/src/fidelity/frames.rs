@@ -5,7 +5,7 @@ use std::path::Path;
 
 use anyhow::{Context, Result, ensure};
 use image::RgbImage;
-use policy_protocol::CAMERAS;
+use proto::checks::CAMERAS;
 use sim::{Drawer, Environment, Frame};
 
 use super::reference::ReferenceTask;

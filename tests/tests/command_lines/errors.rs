@@ -89,7 +89,7 @@ const CASES: [(&str, &[&str]); 14] = [
             "worker preview --task 10",
             "worker preview --config 10",
             "worker rollout --id nonsense",
-            "worker rollout --id object/t0/clean/i99",
+            "worker rollout --id object/t0/nominal/i99",
             "worker --renderer paint",
             "worker --look old",
         ],
@@ -98,7 +98,7 @@ const CASES: [(&str, &[&str]); 14] = [
         "worker-files",
         &[
             "worker --connect {url} --assets missing",
-            "worker rollout --id object/t0/clean/i00 --endpoint {url} --assets missing --output out",
+            "worker rollout --id object/t0/nominal/i00 --endpoint {url} --assets missing --output out",
         ],
     ),
     (

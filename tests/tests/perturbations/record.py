@@ -24,7 +24,7 @@ import original_look
 from PIL import Image
 
 HERE = pathlib.Path(__file__).resolve().parent
-PRESETS = HERE.parents[2] / "crates/benchmark/libero-ctrl/data/presets.json"
+PRESETS = HERE.parents[2] / "crates/benchmark/data/presets.json"
 SEED = 20260904
 WAITS = 10
 SIDE = 256

@@ -2,7 +2,7 @@
 //! positions, just clear of other objects, and releases them. Everything is computed from the goal
 //! and the scene.
 
-use libero_ctrl::{Entity, Predicate};
+use benchmark::{Entity, Predicate};
 use scene::catalog::{Articulation, Threshold};
 use scene::{Instance, Scene};
 use sim::episode::NO_OP;

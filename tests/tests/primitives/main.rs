@@ -4,7 +4,7 @@
 mod hand;
 mod table;
 
-use libero_ctrl::{ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef};
+use benchmark::{ManifestRow, Perturbation, Realisation, RolloutId, Suite, TaskRef};
 use scene::{Problem, TaskFiles};
 use sim::episode::NO_OP;
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
@@ -55,7 +55,7 @@ fn check_suite(suite: Suite) {
 /// Begins a nominal rollout of a task from one of its released states.
 fn begin(simulator: &mut Simulator, task: TaskRef, state: u16) -> Episode<'_> {
     let (suite, index) = (task.suite().short_name(), task.index());
-    let id: RolloutId = format!("{suite}/t{index}/clean/i{state:02}").parse().unwrap();
+    let id: RolloutId = format!("{suite}/t{index}/nominal/i{state:02}").parse().unwrap();
     let row = ManifestRow::new(id, state, state, Perturbation::default());
     simulator.begin(&row, Realisation::Matched).unwrap_or_else(|error| panic!("{task}: {error}"))
 }

@@ -1,6 +1,6 @@
 //! Positions of objects at rest: overlaps, displacements and falls.
 
-use libero_ctrl::{Entity, EntityKind, Predicate};
+use benchmark::{Entity, EntityKind, Predicate};
 use scene::arena::arena;
 use scene::{InstanceKind, Problem};
 use sim::mujoco::ObjectKind;

@@ -1,4 +1,4 @@
-#[path = "../../../crates/support/terminal/tests/helps/mod.rs"]
+#[path = "../../../crates/terminal/tests/helps/mod.rs"]
 mod helps;
 
 use sim::GlDevice;
@@ -73,7 +73,7 @@ fn a_users_task_needs_initial_states_and_an_actor() {
         format!("{own} --actions a.npz --endpoint grpc://h:1 {end}"),
         format!("worker rollout --bddl a.bddl --actions a.npz {end}"),
         format!("worker rollout --actions a.npz {end}"),
-        format!("worker rollout --id goal/t0/clean/i00 --init-id 3 --actions a.npz {end}"),
+        format!("worker rollout --id goal/t0/nominal/i00 --init-id 3 --actions a.npz {end}"),
     ] {
         assert_eq!(parse(&line).expect_err(&line).exit_code(), 2, "{line}");
     }

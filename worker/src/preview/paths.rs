@@ -3,7 +3,7 @@
 
 use std::fmt::Write as _;
 
-use libero_ctrl::{Axis, Condition};
+use benchmark::{Axis, Condition};
 use sim::{SimError, Simulator};
 
 use super::{LEVELS, MOTION_STEPS, Request, motion, row};

@@ -1,6 +1,6 @@
 //! Tests of lifted perturbations, on the built-in assets; skipped without `cargo xtask setup`.
 
-use libero_ctrl::{ManifestRow, Realisation, row_of};
+use benchmark::{ManifestRow, Realisation, row_of};
 use sim::ObjectKind;
 use sim::controller::GRIP_SITE;
 
@@ -64,7 +64,7 @@ fn lifting_before_the_first_query_gives_the_nominal_rollout() {
     let mut simulator = simulator(sources);
     // All axes but the robot's are perturbed, because its displacement of the arm would remain.
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
-    let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
+    let nominal = row(&format!("object/t0/nominal/i{:02}", perturbed.init_id));
     let nominal = run_rollout(&mut simulator, nominal, None);
     let lifted = run_rollout(&mut simulator, perturbed.clone(), resumed_after(&[], Change::Lift));
     assert!(lifted.pictures == nominal.pictures, "the pictures differ");
@@ -85,7 +85,7 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
         return;
     };
     let mut simulator = simulator(sources);
-    let perturbed = row("object/t0/combination/L2/c00");
+    let perturbed = row("object/t0/simultaneous/L2/c00");
     let uninterrupted = run_rollout(&mut simulator, perturbed.clone(), None);
     let step = 5;
     let commands = &uninterrupted.actions[..step];
@@ -118,7 +118,7 @@ fn a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object() {
     };
     let mut simulator = simulator(sources);
     let mut stage = Stage::of_the_protocol(&mut simulator);
-    let row = row("object/t0/combination/L2/c00");
+    let row = row("object/t0/simultaneous/L2/c00");
     let mut episode = stage.begin(&row, Realisation::Matched).expect("an episode");
     episode.settle().expect("settled");
     let pose = |episode: &mut Episode<'_>| {
@@ -146,7 +146,7 @@ fn a_rollout_without_perturbations_is_refused() {
     };
     let mut simulator = simulator(sources);
     let folder = tempfile::tempdir().expect("a temporary folder");
-    for id in ["object/t0/clean/i00", "object/t0/latency/L2/c00"] {
+    for id in ["object/t0/nominal/i00", "object/t0/latency/L2/c00"] {
         let mut actor =
             ObservingActor { side: SIDE, observations: Vec::new(), instructions: Vec::new() };
         let assignment = assignment(row(id), None);

@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::NoSuchRow;
+use benchmark::NoSuchRow;
 use scene::SceneError;
 
 use crate::actor::PolicyError;

@@ -3,7 +3,7 @@
 
 use std::path::PathBuf;
 
-use libero_ctrl::{ManifestRow, RolloutId, Suite, TaskRef, row_of};
+use benchmark::{ManifestRow, RolloutId, Suite, TaskRef, row_of};
 use scene::TaskFiles;
 
 use super::error::SingleError;
@@ -37,7 +37,7 @@ impl OwnTask {
         self.files().problem()?;
         let nominal = || {
             let task = TaskRef::new(Suite::Long, 0).expect("every suite has a task 0");
-            RolloutId::clean(task, 0)
+            RolloutId::nominal(task, 0)
         };
         let mut row = row_of(self.id.unwrap_or_else(nominal))?;
         row.init_id = self.init_id;

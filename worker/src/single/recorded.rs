@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use policy_protocol::ACTION_WIDTH;
+use proto::checks::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, Observation};
 use sha2::{Digest, Sha256};
 use zip::ZipArchive;
@@ -14,7 +14,7 @@ use zip::ZipArchive;
 use super::error::SingleError;
 use super::npy::Header;
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
-use libero_ctrl::{JsonError, Query};
+use benchmark::{JsonError, Query};
 
 /// Most actions of a recording, well above every step budget of the protocol.
 const MAX_RECORDED_ACTIONS: usize = 10_000;

@@ -3,13 +3,13 @@
 
 use std::time::Duration;
 
-use libero_ctrl::{Axis, ManifestRow, Query, Realisation, row_of};
-use policy_protocol::CAMERAS;
+use crate::video::PANE_SIDE;
+use benchmark::attempt::GoalProgress;
+use benchmark::{Axis, ManifestRow, Query, Realisation, row_of};
+use proto::checks::CAMERAS;
 use proto::policy as wire;
-use rollout_types::GoalProgress;
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
-use video::PANE_SIDE;
 
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};
@@ -20,16 +20,16 @@ use crate::message::{Session, VideoOf, VideoRequest};
 #[test]
 fn a_rollout_id_determines_the_simulation() {
     let row = |id: &str| row_of(id.parse().expect("an id"));
-    let clean = row("spatial/t0/clean/i07").expect("a row");
-    assert_eq!((clean.init_id, clean.perturbation.axes().len()), (7, 0));
+    let nominal = row("spatial/t0/nominal/i07").expect("a row");
+    assert_eq!((nominal.init_id, nominal.perturbation.axes().len()), (7, 0));
     let single = row("spatial/t0/camera/L2/c00").expect("a row");
     assert_eq!((single.init_id, single.perturbation.axes()), (43, vec![Axis::Camera]));
-    let all = row("spatial/t0/combination/L2/c00").expect("a row");
+    let all = row("spatial/t0/simultaneous/L2/c00").expect("a row");
     assert_eq!(all.perturbation.axes(), Axis::METRIC);
     let paraphrased = row("spatial/t0/language/L2/c00").expect("a row");
     assert_eq!(all.instruction, paraphrased.instruction);
-    assert_ne!(all.instruction, clean.instruction);
-    let at_radius = row("spatial/t0/combination/r2.5/c10").expect("a row");
+    assert_ne!(all.instruction, nominal.instruction);
+    let at_radius = row("spatial/t0/simultaneous/r2.5/c10").expect("a row");
     assert_eq!(at_radius.perturbation.axes(), Axis::METRIC);
     let error = row("spatial/t0/camera/L2/c1000").expect_err("too many");
     assert!(error.to_string().contains("c1000"), "{error}");
@@ -172,13 +172,13 @@ fn answers_are_distorted_before_clipping_as_in_the_released_code() {
         assert_eq!(finished.result.clipped_actions, clipped);
         array::<f64>(&folder.path().join("trace.npz"), "qpos").1
     };
-    let (distorted, clean) = ("object/t0/actuation/L1/c00", "object/t0/clean/i00");
+    let (distorted, nominal) = ("object/t0/actuation/L1/c00", "object/t0/nominal/i00");
     let (matched, reference) = (Realisation::Matched, Realisation::Reference);
     for (id, realisation, is_equal) in [
         (distorted, matched, true),
         (distorted, reference, false),
-        (clean, matched, true),
-        (clean, reference, true),
+        (nominal, matched, true),
+        (nominal, reference, true),
     ] {
         let same = path_of(id, realisation, 2.0) == path_of(id, realisation, 1.0);
         assert_eq!(same, is_equal, "{id} in {realisation} realisation");
@@ -195,7 +195,7 @@ fn first_and_last_frames_are_written_for_a_recording() {
     let recording = folder.path().join("actions.jsonl");
     fs::write(&recording, "[1, 0, -1, 0, 0, 0, -1]\n".repeat(4)).expect("writes");
     let mut recorded = RecordedActions::read(&recording).expect("actions");
-    let mut row = row_of("object/t0/clean/i03".parse().expect("an id")).expect("a row");
+    let mut row = row_of("object/t0/nominal/i03".parse().expect("an id")).expect("a row");
     row.max_steps = recorded.count();
     let video = folder.path().join("video.mp4");
     let assignment = assignment(row, Some(&video));
@@ -343,7 +343,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
     let mut sensor = row_of("object/t0/sensor/L3/c03".parse().expect("an id")).expect("a row");
     sensor.max_steps = 4;
     let nominal =
-        ManifestRow { perturbation: libero_ctrl::Perturbation::default(), ..sensor.clone() };
+        ManifestRow { perturbation: benchmark::Perturbation::default(), ..sensor.clone() };
     let side = PANE_SIDE as u32;
     let unperturbed = run_and_film(&mut simulator, &nominal, Realisation::Matched, side);
     for realisation in [Realisation::Matched, Realisation::Reference] {

@@ -21,7 +21,7 @@ use std::fs::File;
 use std::io::{self, BufWriter, Seek, Write};
 use std::path::Path;
 
-use policy_protocol::ACTION_WIDTH;
+use proto::checks::ACTION_WIDTH;
 use sim::Environment;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;

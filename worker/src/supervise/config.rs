@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::TaskKey;
-use libero_ctrl::{Look, TaskRef};
+use benchmark::TaskKey;
+use benchmark::{Look, TaskRef};
 use proto::COORDINATOR_PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
 use transport::Access;

@@ -2,7 +2,7 @@
 
 use std::io;
 
-use rollout_types::AttemptIdError;
+use benchmark::attempt::AttemptIdError;
 use transport::{AccessError, EndpointError};
 
 use super::slot_state::MAX_FAILED_STARTS;

@@ -232,7 +232,7 @@ mod tests {
     use std::os::unix::process::ExitStatusExt;
     use std::time::Duration;
 
-    use rollout_types::AttemptId;
+    use benchmark::attempt::AttemptId;
 
     use super::*;
     use crate::memory::Verdict;

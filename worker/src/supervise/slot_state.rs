@@ -6,7 +6,7 @@
 
 use std::time::Duration;
 
-use rollout_types::{AttemptId, Backoff, Waits};
+use benchmark::attempt::{AttemptId, Backoff, Waits};
 use tokio::time::Instant;
 
 use crate::message::FailureKind;

@@ -9,9 +9,9 @@ use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use libero_ctrl::ManifestRow;
+use benchmark::ManifestRow;
+use benchmark::attempt::{AttemptId, Backoff, Waits};
 use proto::coordinator::{RegisterRequest, SignOffRequest};
-use rollout_types::{AttemptId, Backoff, Waits};
 use scene::FileStamps;
 use terminal::counted;
 use tokio::sync::{mpsc, watch};

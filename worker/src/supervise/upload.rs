@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-use rollout_types::AttemptId;
+use benchmark::attempt::AttemptId;
 use tokio::sync::Semaphore;
 use tonic::Status;
 use transport::chain;

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
+use benchmark::family::para::TypeName;
+use benchmark::family::plus::{Dimension, Variant};
+use benchmark::family::pro::{ProSuite, STATES};
+use benchmark::family::protocol::Protocol;
+use benchmark::family::{Case, ParaFilters, PlusFilters, ProFilters, Selection};
+use benchmark::{ManifestRow, Suite, TaskRef};
 use clap::Args;
-use libero_ctrl::{ManifestRow, Suite, TaskRef};
-use libero_family::para::TypeName;
-use libero_family::plus::{Dimension, Variant};
-use libero_family::pro::{ProSuite, STATES};
-use libero_family::protocol::Protocol;
-use libero_family::{Case, ParaFilters, PlusFilters, ProFilters, Selection};
 use terminal::number;
 
 use super::case::rows_of_file;
@@ -93,7 +93,7 @@ impl Choice {
 
 #[cfg(test)]
 mod tests {
-    use libero_family::SelectionError;
+    use benchmark::family::SelectionError;
 
     use super::*;
 

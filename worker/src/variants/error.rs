@@ -3,8 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
-use libero_ctrl::{RolloutId, SuiteFileError};
-use libero_family::SelectionError;
+use benchmark::family::SelectionError;
+use benchmark::{RolloutId, SuiteFileError};
 use scene::SceneError;
 use sim::SimError;
 

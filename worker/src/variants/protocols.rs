@@ -4,8 +4,8 @@
 use std::fmt::{self, Write};
 use std::slice;
 
-use libero_family::protocol::{PROTOCOLS, Protocol};
-use libero_family::{Case, SelectionError, Subject};
+use benchmark::family::protocol::{PROTOCOLS, Protocol};
+use benchmark::family::{Case, SelectionError, Subject};
 use scene::AssetPack;
 use sim::{CameraRequest, ObservationRequest, SimError, Simulator, SimulatorConfig};
 

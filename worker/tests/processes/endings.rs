@@ -42,7 +42,7 @@ async fn a_drain_finishes_the_running_rollout_and_starts_no_other() {
     assert_eq!(result.steps, 80);
     let log = worker.ended();
     // Log lines name their campaign, since one worker may serve several.
-    assert!(log.contains(" test: object/t0/clean/i03"), "{log}");
+    assert!(log.contains(" test: object/t0/nominal/i03"), "{log}");
     assert_eq!((coordinator.messages().len(), coordinator.claims().len()), (2, 1));
 }
 
@@ -150,7 +150,7 @@ async fn rollouts_of_two_campaigns_have_one_log_line_each() {
     }
     let log = worker.ended();
     for campaign in ["first", "second"] {
-        let ended = format!(" {campaign}: object/t0/clean/i03");
+        let ended = format!(" {campaign}: object/t0/nominal/i03");
         let lines = log.lines();
         let lines = lines.filter(|line| line.contains(&ended) && line.contains(" steps in "));
         assert_eq!(lines.count(), 1, "{campaign}: {log}");

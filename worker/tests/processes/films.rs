@@ -3,7 +3,7 @@
 
 use std::process::Output;
 
-use libero_ctrl::ManifestRow;
+use benchmark::ManifestRow;
 use proto::coordinator::{Film, Lease};
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
@@ -103,7 +103,7 @@ async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
     assert!(summary.starts_with("3 videos stored; "), "{summary}");
     assert!(log.contains("filming 2 rollouts at a time"), "{log}");
     assert!(log.contains("(2 left)") && log.contains("(0 left)"), "{log}");
-    assert_eq!(log.matches("filmed test object/t0/clean/i03#r0 in ").count(), 3, "{log}");
+    assert_eq!(log.matches("filmed test object/t0/nominal/i03#r0 in ").count(), 3, "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -145,11 +145,11 @@ async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
         return;
     }
     let row = |id: String| {
-        let row = libero_ctrl::row_of(id.parse().expect("an id"));
+        let row = benchmark::row_of(id.parse().expect("an id"));
         ManifestRow { max_steps: MAX_STEPS, ..row.expect("a row") }
     };
     let sensor = row("object/t0/sensor/L3/c03".to_owned());
-    let nominal = row(format!("object/t0/clean/i{:02}", sensor.init_id));
+    let nominal = row(format!("object/t0/nominal/i{:02}", sensor.init_id));
     let [by_the_slot, afterwards] = films_of(&sensor).await;
     assert!(by_the_slot == afterwards, "equal pictures give equal bytes");
     let [unperturbed, unperturbed_afterwards] = films_of(&nominal).await;

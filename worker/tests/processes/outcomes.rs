@@ -1,8 +1,8 @@
 //! Rollouts with an outcome.
 
-use libero_ctrl::ManifestRow;
+use benchmark::ManifestRow;
+use benchmark::attempt::{GoalProgress, Realised};
 use proto::coordinator::release_request::Reason;
-use rollout_types::{GoalProgress, Realised};
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
@@ -56,7 +56,7 @@ async fn a_policy_gets_the_requested_observation_once_per_query() {
 
     let received = policy.received.lock().expect("unpoisoned");
     let [reset] = received.resets.as_slice() else { panic!("{:?}", received.resets) };
-    let session = format!("object/t0/clean/i03#r0#{}", attempt_id(1));
+    let session = format!("object/t0/nominal/i03#r0#{}", attempt_id(1));
     assert_eq!(reset.session, session);
     assert_eq!((reset.suite.as_str(), reset.seed), ("libero_object", 7));
     assert_eq!(reset.instruction, "pick up the alphabet soup and place it in the basket");
@@ -234,7 +234,7 @@ fn a_replay_without_pictures_opens_no_renderer() {
     let (actions, output) = (actions.to_str(), folder.path().to_str());
     let (actions, output) = (actions.expect("UTF-8"), output.expect("UTF-8"));
     let line = format!(
-        "rollout --id object/t0/clean/i03 --assets primitives --actions {actions} \
+        "rollout --id object/t0/nominal/i03 --assets primitives --actions {actions} \
          --output {output} --renderer gl:99"
     );
     let line: Vec<&str> = line.split_whitespace().collect();

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use libero_ctrl::ManifestRow;
+use benchmark::ManifestRow;
 use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;

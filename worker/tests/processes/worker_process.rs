@@ -6,7 +6,7 @@ use std::process::{Child, Command, ExitStatus, Output, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use libero_ctrl::ManifestRow;
+use benchmark::ManifestRow;
 use proto::coordinator::Lease;
 
 /// Longest wait for an expected reaction of a process.
@@ -30,8 +30,8 @@ pub(crate) fn attempt_id(job: i64) -> String {
 
 /// Returns a job of the scripted coordinator: a short nominal rollout.
 pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
-    let id = "object/t0/clean/i03".parse().expect("an id");
-    let mut row = ManifestRow::new(id, 3, 3, libero_ctrl::Perturbation::default());
+    let id = "object/t0/nominal/i03".parse().expect("an id");
+    let mut row = ManifestRow::new(id, 3, 3, benchmark::Perturbation::default());
     row.max_steps = MAX_STEPS;
     Lease {
         job_id: job,

@@ -2,10 +2,10 @@
 
 use std::collections::BTreeSet;
 
-use libero_ctrl::TaskKey;
-use libero_ctrl::{ManifestRow, RolloutId};
+use benchmark::TaskKey;
+use benchmark::attempt::AttemptId;
+use benchmark::{ManifestRow, RolloutId};
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
-use rollout_types::AttemptId;
 use scene::FileStamps;
 use tokio::time::Instant;
 use tonic::{Code, Status};
@@ -194,9 +194,9 @@ impl Supervisor {
 
     /// Builds a slot's assignment from a lease. The error follows the words "failed to".
     fn assignment(&self, attempt: AttemptId, lease: Lease) -> Result<Assignment, String> {
-        let mut row: libero_ctrl::ManifestRow =
+        let mut row: benchmark::ManifestRow =
             serde_json::from_str(&lease.manifest_row).map_err(|error| {
-                let problem = libero_ctrl::JsonError::from(error);
+                let problem = benchmark::JsonError::from(error);
                 format!("read the manifest row of job {}: {problem}", lease.job_id)
             })?;
         let realisation = lease.realisation.parse();
@@ -204,7 +204,7 @@ impl Supervisor {
         if row.execution.is_wait() && !lease.execution.is_empty() {
             let execution = lease.execution.parse();
             row.execution =
-                execution.map_err(|error: libero_ctrl::ExecutionError| error.to_string())?;
+                execution.map_err(|error: benchmark::ExecutionError| error.to_string())?;
         }
         let endpoint = self.config.policy_endpoint.clone();
         let filmed_outcomes = match lease.record_failures_only {
@@ -215,8 +215,7 @@ impl Supervisor {
         Ok(Assignment {
             attempt,
             session: Session::new(&row.id, lease.replicate, attempt),
-            realisation: realisation
-                .map_err(|error: libero_ctrl::UnknownName| error.to_string())?,
+            realisation: realisation.map_err(|error: benchmark::UnknownName| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,

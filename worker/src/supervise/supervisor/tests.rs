@@ -22,7 +22,7 @@ fn supervisor_with(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
             asset_pack: String::new(),
             asset_pack_digest: String::new(),
             mujoco_version: String::new(),
-            look: libero_ctrl::Look::default(),
+            look: benchmark::Look::default(),
         },
         slots,
         slot_program: SlotProgram { program: "cat".into(), arguments: Vec::new() },

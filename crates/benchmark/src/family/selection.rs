@@ -1,0 +1,285 @@
+//! Selection of variants, and the rows of their rollouts.
+
+use crate::{ManifestRow, RolloutId, Suite, TaskRef, UnknownName};
+
+use crate::family::case::{Case, Subject};
+use crate::family::lack::{Lack, Lacking};
+use crate::family::para::{self, Paraphrase, TypeName};
+use crate::family::plus::{Dimension, Entry, UnknownVariant, Variant, entry, inventory};
+use crate::family::pro::ProSuite;
+use crate::family::protocol::{Benchmark, Protocol};
+
+#[derive(Clone, Debug)]
+pub enum Selection {
+    Plus(PlusFilters),
+    Pro(ProFilters),
+    Para(ParaFilters),
+}
+
+/// Filters of LIBERO-Plus' variants. A variant must match all filters that are not empty.
+#[derive(Clone, Debug, Default)]
+pub struct PlusFilters {
+    pub variants: Vec<Variant>,
+    pub suites: Vec<Suite>,
+    pub dimensions: Vec<Dimension>,
+    /// Difficulties, 1 to 5; 0 for variants without one.
+    pub difficulties: Vec<u8>,
+}
+
+#[derive(Clone, Debug)]
+pub struct ProFilters {
+    pub suites: Vec<ProSuite>,
+    /// Number of trials of each task, from the first initial states.
+    pub trials: u16,
+}
+
+/// Filters of LIBERO-Para's sentences. A sentence must match all filters that are not empty.
+#[derive(Clone, Debug, Default)]
+pub struct ParaFilters {
+    /// Types, or sentences by name.
+    pub types: Vec<TypeName>,
+    pub tasks: Vec<TaskRef>,
+}
+
+impl Selection {
+    pub fn benchmark(&self) -> Benchmark {
+        match self {
+            Self::Plus(_) => Benchmark::Plus,
+            Self::Pro(_) => Benchmark::Pro,
+            Self::Para(_) => Benchmark::Para,
+        }
+    }
+
+    /// Returns the selected rollouts, in the benchmark's order.
+    pub fn cases(&self) -> Result<Vec<Case>, SelectionError> {
+        let cases = match self {
+            Self::Plus(filters) => filters.cases()?,
+            Self::Pro(filters) => filters.cases(),
+            Self::Para(filters) => filters.cases(),
+        };
+        match cases.is_empty() {
+            true => Err(SelectionError::Nothing),
+            false => Ok(cases),
+        }
+    }
+
+    /// Returns the rows of a campaign: the unperturbed rollouts, followed by the variants in the
+    /// benchmark's order; and the variants that no worker can run. Unless `runnable`, such a variant
+    /// is an error.
+    pub fn rows(
+        &self,
+        protocol: &Protocol,
+        runnable: bool,
+    ) -> Result<(Vec<ManifestRow>, Lacking), SelectionError> {
+        protocol.check(self.benchmark())?;
+        let (variants, lacking) = audit(self.cases()?);
+        if lacking.count() > 0 && (!runnable || variants.is_empty()) {
+            return Err(SelectionError::Lacking {
+                lacking: lacking.count(),
+                chosen: lacking.count() + variants.len(),
+                report: lacking.to_string(),
+            });
+        }
+        let cases = Case::unperturbed(&variants).into_iter().chain(variants);
+        Ok((cases.map(|case| case.row(protocol)).collect(), lacking))
+    }
+}
+
+impl PlusFilters {
+    fn cases(&self) -> Result<Vec<Case>, SelectionError> {
+        if let Some(unused) = self.variants.iter().find(|variant| entry(variant).is_none()) {
+            return Err(SelectionError::Unused { name: unused.to_string() });
+        }
+        let chosen = inventory().iter().filter(|entry| {
+            matches_filter(&self.variants, &entry.variant)
+                && matches_filter(&self.suites, &entry.variant.task.suite())
+                && matches_filter(&self.dimensions, &entry.dimension())
+                && matches_filter(&self.difficulties, &entry.difficulty.unwrap_or(0))
+        });
+        let case = |entry: &'static Entry| Case {
+            subject: Subject::Plus(entry),
+            task: entry.variant.task,
+            trial: 0,
+        };
+        Ok(chosen.map(case).collect())
+    }
+}
+
+impl ProFilters {
+    fn cases(&self) -> Vec<Case> {
+        let suites = ProSuite::all().filter(|suite| self.suites.contains(suite));
+        let cases = suites.flat_map(|suite| {
+            let tasks = suite.suite.tasks();
+            tasks.flat_map(move |task| {
+                (0..self.trials).map(move |trial| Case {
+                    subject: Subject::Pro(suite),
+                    task,
+                    trial,
+                })
+            })
+        });
+        cases.collect()
+    }
+}
+
+impl ParaFilters {
+    fn cases(&self) -> Vec<Case> {
+        let is_chosen = |paraphrase: &&Paraphrase| {
+            let mut types = self.types.iter();
+            (self.types.is_empty() || types.any(|name| name.has(paraphrase)))
+                && matches_filter(&self.tasks, &paraphrase.task)
+        };
+        let case = |paraphrase: &'static Paraphrase| Case {
+            subject: Subject::Para(paraphrase),
+            task: paraphrase.task,
+            trial: 0,
+        };
+        let chosen = para::inventory().iter().filter(is_chosen);
+        chosen.map(case).collect()
+    }
+}
+
+/// Separates the rollouts whose files are LIBERO's or in a package index from all others, which a
+/// campaign does not run, because its results are pinned to one asset pack.
+fn audit(chosen: Vec<Case>) -> (Vec<Case>, Lacking) {
+    let (mut runnable, mut lacking) = (Vec::new(), Lacking::default());
+    for case in chosen {
+        match case.further_assets() {
+            Some(further) => lacking.add(Lack::Further(further), case),
+            None => runnable.push(case),
+        }
+    }
+    (runnable, lacking)
+}
+
+fn matches_filter<T: PartialEq>(filter: &[T], value: &T) -> bool {
+    filter.is_empty() || filter.contains(value)
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SelectionError {
+    #[error("choose variants: none matches all filters; leave a filter out")]
+    Nothing,
+    #[error(
+        "run {benchmark} under protocol `{protocol}`: it is another benchmark's protocol; \
+         docs/FAMILY.md lists the protocols of each benchmark"
+    )]
+    Foreign { protocol: &'static str, benchmark: &'static str },
+    #[error(
+        "choose variant `{name}`: its name is well-formed, but LIBERO-Plus' task map does not \
+         have it; `worker variants --list` lists the variants"
+    )]
+    Unused { name: String },
+    #[error(
+        "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO nor LIBERO-Para has it; `coordinator \
+         manifest expand` prints the ids of a specification"
+    )]
+    Id { id: RolloutId },
+    #[error(
+        "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\n{}",
+        advice(chosen - lacking)
+    )]
+    Lacking { lacking: usize, chosen: usize, report: String },
+    #[error(transparent)]
+    Variant(#[from] UnknownVariant),
+    #[error(transparent)]
+    Name(#[from] UnknownName),
+}
+
+fn advice(runnable: usize) -> &'static str {
+    match runnable {
+        0 => "No chosen rollout can run: follow the advice above, or choose other rollouts",
+        _ => "Give --runnable to run the other rollouts only",
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::family::pro::STATES;
+
+    fn of_dimensions(dimensions: &[Dimension]) -> Selection {
+        Selection::Plus(PlusFilters { dimensions: dimensions.to_vec(), ..PlusFilters::default() })
+    }
+
+    fn of_pro(suite: &str, trials: u16) -> Selection {
+        let suites = vec![suite.parse().expect("a suite")];
+        Selection::Pro(ProFilters { suites, trials })
+    }
+
+    #[test]
+    fn every_rollout_of_each_benchmark_has_a_distinct_id_that_is_parsed() {
+        let plus = of_dimensions(&[]);
+        let pro = Selection::Pro(ProFilters { suites: ProSuite::all().collect(), trials: STATES });
+        let para = Selection::Para(ParaFilters::default());
+        for (selection, rollouts) in
+            [(plus, 10_030 + 40), (pro, 160 * 50 + 40 * 50), (para, 4_092 + 10)]
+        {
+            let protocol = Protocol::official(selection.benchmark());
+            let mut cases = selection.cases().expect("cases");
+            cases.extend(Case::unperturbed(&cases));
+            let mut ids = BTreeSet::new();
+            for case in &cases {
+                let row = case.row(&protocol);
+                let text = row.id.to_string();
+                assert_eq!(text.parse(), Ok(row.id));
+                let read = Case::of_row(&row).expect("a case");
+                assert_eq!(read, (*case, protocol), "{text}");
+                ids.insert(row.id);
+            }
+            assert_eq!((cases.len(), ids.len()), (rollouts, rollouts));
+        }
+    }
+
+    #[test]
+    fn a_selection_has_the_rows_of_its_variants_after_those_of_their_unperturbed_rollouts() {
+        let hints = Selection::Para(ParaFilters {
+            types: vec!["hint".parse().expect("a type")],
+            tasks: vec!["libero_goal/8".parse().expect("a task")],
+        });
+        for (selection, runnable, count, variants) in [
+            (of_dimensions(&[]), true, 7_045 + 40, "plus:"),
+            (of_dimensions(&[Dimension::Noise]), false, 1_601 + 40, "plus:noise_"),
+            (of_pro("libero_goal_swap", 3), false, 10 * 3 + 10 * 3, "pro:swap"),
+            (hints, false, 9 + 1, "goal/t8/para:act_hint_"),
+        ] {
+            let protocol = Protocol::official(selection.benchmark());
+            let (rows, left_out) = selection.rows(&protocol, runnable).expect("rows");
+            assert_eq!((rows.len(), left_out.count() > 0), (count, runnable), "{variants}");
+            assert!(rows.iter().all(|row| row.protocol.as_deref() == Some(protocol.name)));
+            let ids: Vec<String> = rows.iter().map(|row| row.id.to_string()).collect();
+            let first = ids.iter().position(|id| !id.contains(":unperturbed/")).expect("variants");
+            assert!(first > 0 && ids[first..].iter().all(|id| id.contains(variants)), "{variants}");
+        }
+    }
+
+    #[test]
+    fn selections_that_cannot_run_are_refused_with_the_remedy() {
+        use Dimension::{Camera, Light, Noise};
+        let unrated = PlusFilters {
+            dimensions: vec![Noise],
+            difficulties: vec![0],
+            ..PlusFilters::default()
+        };
+        for (selection, runnable, expected) in [
+            (
+                of_dimensions(&[Light, Camera]),
+                false,
+                "(scenes/lights/), which no package index has",
+            ),
+            (of_dimensions(&[Light, Camera]), false, "Give --runnable to run the other rollouts"),
+            (of_dimensions(&[Light]), true, "run 1142 of the 1142 chosen rollouts"),
+            (of_dimensions(&[Light]), true, "choose other rollouts"),
+            (of_pro("libero_goal_object", 1), true, "models of LIBERO-PRO"),
+            (Selection::Plus(unrated), false, "leave a filter out"),
+        ] {
+            let protocol = Protocol::official(selection.benchmark());
+            let error = selection.rows(&protocol, runnable).expect_err(expected).to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        let foreign = of_pro("libero_goal_swap", 1).rows(&Protocol::PLUS_OFFICIAL, false);
+        assert!(matches!(foreign, Err(SelectionError::Foreign { .. })));
+    }
+}

@@ -1,0 +1,307 @@
+//! Rollout ids: the identity of a rollout in a design, from which its seeds are derived. The
+//! replicate is not part of the id.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::condition::Condition;
+use crate::level::Level;
+use crate::names::{UnknownName, serde_as_text};
+use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
+use crate::variant_name::VariantName;
+
+const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for example \
+                       spatial/t0/camera/L2/c00 or spatial/t0/simultaneous/L2/c00, or \
+                       SUITE/tN/nominal/iNN for initial state NN, or \
+                       SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00, or \
+                       own/tN/own:SUITE/iNN for a suite file";
+
+/// Identifies one rollout: `spatial/t0/camera/L2/c00`.
+///
+/// The last number is the configuration. A clean rollout has an initial state instead,
+/// `spatial/t0/clean/i07`, as in the reference's files; the text must match the reference's,
+/// because seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
+/// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
+///
+/// A rollout of LIBERO's family has the benchmark, the benchmark's name of the change, and an
+/// initial state: `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`,
+/// `goal/t8/plus:unperturbed/i00`. A rollout of a suite file has the position of the task in the
+/// file, and the name of the task's suite: `own/t17/own:libero_90/i03`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RolloutId {
+    task: TaskRef,
+    condition: Condition,
+    level: Level,
+    number: u16,
+    /// Name of the variant of LIBERO's family or of the suite of a suite file; `None` for a
+    /// rollout of LIBERO-CTRL.
+    variant: Option<VariantName>,
+}
+
+impl RolloutId {
+    pub const fn nominal(task: TaskRef, init_id: u16) -> Self {
+        Self {
+            task,
+            condition: Condition::Nominal,
+            level: Level::L0,
+            number: init_id,
+            variant: None,
+        }
+    }
+
+    pub const fn of_variant(task: TaskRef, variant: VariantName, init_id: u16) -> Self {
+        Self {
+            task,
+            condition: Condition::Variant,
+            level: Level::L0,
+            number: init_id,
+            variant: Some(variant),
+        }
+    }
+
+    pub fn perturbed(
+        task: TaskRef,
+        condition: Condition,
+        level: Level,
+        config: u16,
+    ) -> Result<Self, UnknownName> {
+        let id = Self { task, condition, level, number: config, variant: None };
+        if !has_config(condition) {
+            return Err(unknown(&id.to_string()));
+        }
+        Ok(id)
+    }
+
+    pub const fn task(&self) -> TaskRef {
+        self.task
+    }
+
+    /// Returns the condition: the perturbed axes.
+    pub const fn condition(&self) -> Condition {
+        self.condition
+    }
+
+    /// Returns the level of perturbation; L0 in clean rollouts, at the placebo level, and in
+    /// rollouts of LIBERO's family or of a suite file.
+    pub const fn level(&self) -> Level {
+        self.level
+    }
+
+    pub fn is_placebo(&self) -> bool {
+        self.level == Level::L0 && has_config(self.condition)
+    }
+
+    /// `None` for a clean rollout, and for a rollout of LIBERO's family or of a suite file.
+    pub fn config(&self) -> Option<u16> {
+        has_config(self.condition).then_some(self.number)
+    }
+
+    pub const fn variant(&self) -> Option<VariantName> {
+        self.variant
+    }
+
+    /// Returns the name of the suite that is sent to a policy: that of LIBERO's suite, or the name
+    /// in the suite file.
+    pub fn suite_name(&self) -> &str {
+        match &self.variant {
+            Some(name) if name.benchmark().is_none() => name.change(),
+            _ => self.task.suite().name(),
+        }
+    }
+
+    /// Returns the last number of the id: the configuration, or in a rollout without a
+    /// configuration the initial state.
+    pub const fn number(&self) -> u16 {
+        self.number
+    }
+}
+
+impl fmt::Display for RolloutId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (suite, task) = (self.task.suite().short_name(), self.task.index());
+        let (condition, number) = (self.condition, self.number);
+        if let Some(variant) = self.variant {
+            return write!(f, "{suite}/t{task}/{variant}/i{number:02}");
+        }
+        match condition {
+            Condition::Nominal => write!(f, "{suite}/t{task}/{condition}/i{number:02}"),
+            _ => {
+                let level = self.level;
+                write!(f, "{suite}/t{task}/{condition}/{level}/c{number:02}")
+            }
+        }
+    }
+}
+
+impl FromStr for RolloutId {
+    type Err = UnknownName;
+
+    fn from_str(text: &str) -> Result<Self, UnknownName> {
+        let parts: Vec<&str> = text.split('/').collect();
+        if let ["own", task, name, state] = parts.as_slice() {
+            return parse_own(task, name, state).ok_or_else(|| unknown(text));
+        }
+        let (suite, task, rest) = match parts.as_slice() {
+            [suite, task, rest @ ..] => (suite.parse::<Suite>()?, number(task, "t"), rest),
+            _ => return Err(unknown(text)),
+        };
+        let task = TaskRef::new(suite, u32::from(task.ok_or_else(|| unknown(text))?))?;
+        if let [name, state] = rest
+            && name.contains(':')
+        {
+            let state = init_state(state).ok_or_else(|| unknown(text))?;
+            let name: VariantName = name.parse()?;
+            let is_of_a_benchmark = name.benchmark().is_some();
+            return is_of_a_benchmark
+                .then_some(Self::of_variant(task, name, state))
+                .ok_or_else(|| unknown(text));
+        }
+        let (condition, level, number) = match rest {
+            ["clean" | "nominal", state] => (Condition::Nominal, Level::L0, number(state, "i")),
+            [condition, level, config] => (condition.parse()?, level.parse()?, number(config, "c")),
+            _ => return Err(unknown(text)),
+        };
+        match number {
+            Some(state) if condition == Condition::Nominal => {
+                let is_valid = level == Level::L0 && state < INIT_STATES_PER_TASK;
+                is_valid.then_some(Self::nominal(task, state)).ok_or_else(|| unknown(text))
+            }
+            Some(config) => Self::perturbed(task, condition, level, config),
+            None => Err(unknown(text)),
+        }
+    }
+}
+
+serde_as_text!(RolloutId);
+
+/// Returns the id of a rollout of a suite file: `own/tN/own:SUITE/iNN`.
+fn parse_own(task: &str, name: &str, state: &str) -> Option<RolloutId> {
+    let task = TaskRef::own(u8::try_from(number(task, "t")?).ok()?);
+    let name: VariantName = name.parse().ok()?;
+    let is_own = name.benchmark().is_none();
+    is_own.then_some(RolloutId::of_variant(task, name, init_state(state)?))
+}
+
+fn init_state(text: &str) -> Option<u16> {
+    number(text, "i").filter(|state| *state < INIT_STATES_PER_TASK)
+}
+
+fn has_config(condition: Condition) -> bool {
+    !matches!(condition, Condition::Nominal | Condition::Variant)
+}
+
+fn number(text: &str, prefix: &str) -> Option<u16> {
+    let digits = text.strip_prefix(prefix)?;
+    let is_number = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    is_number.then(|| digits.parse().ok()).flatten()
+}
+
+fn unknown(given: &str) -> UnknownName {
+    UnknownName::new("rollout id", given, &[PATTERN])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::axis::Axis;
+    use crate::benchmark::Benchmark;
+
+    fn check(text: &str, canonical: &str) {
+        let id: RolloutId = text.parse().expect("an id");
+        assert_eq!(id.to_string(), canonical);
+    }
+
+    #[test]
+    fn ids_are_parsed_from_their_text() {
+        check("spatial/t0/camera/L2/c00", "spatial/t0/camera/L2/c00");
+        check("long/t5/combination/L3/c08", "long/t5/simultaneous/L3/c08");
+        check("goal/t9/robot/r2.5/c123", "goal/t9/robot/r2.5/c123");
+        check("goal/t9/robot/r4.0/c1", "goal/t9/robot/L2/c01");
+        check("goal/t9/clean/i49", "goal/t9/nominal/i49");
+        check("spatial/t0/clean/L0/c07", "spatial/t0/nominal/i07");
+        check("spatial/t0/nominal/i07", "spatial/t0/nominal/i07");
+        check("spatial/t0/camera/L0/c03", "spatial/t0/camera/L0/c03");
+        check("long/t5/simultaneous/L3/c08", "long/t5/simultaneous/L3/c08");
+        let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
+        assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
+        assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
+        assert_eq!((id.level(), id.config()), (Level::L3, Some(8)));
+        let is_placebo = |text: &str| text.parse::<RolloutId>().expect("an id").is_placebo();
+        assert!(is_placebo("spatial/t0/language/L0/c03"));
+        assert!(!is_placebo("spatial/t0/clean/i03") && !is_placebo("spatial/t0/language/L1/c03"));
+    }
+
+    #[test]
+    fn ids_of_variants_are_parsed_and_sorted_by_task() {
+        let texts = [
+            "goal/t3/pro:swap/i07",
+            "goal/t4/para:contextual_subordination_1/i00",
+            "goal/t8/plus:level5_sample2/i00",
+            "goal/t8/plus:noise_30/i00",
+            "goal/t8/plus:unperturbed/i00",
+            "goal/t8/pro:unperturbed/i00",
+            "long/t0/plus:view_0_0_100_0_0/i00",
+        ];
+        let mut ids: Vec<RolloutId> = Vec::new();
+        for text in texts {
+            check(text, text);
+            let id: RolloutId = text.parse().expect("an id");
+            assert_eq!(id.condition(), Condition::Variant);
+            assert!(id.config().is_none() && !id.is_placebo(), "{text}");
+            ids.push(id);
+        }
+        let name = ids[3].variant().expect("a variant");
+        assert_eq!((name.benchmark(), name.change()), (Some(Benchmark::Plus), "noise_30"));
+        assert!(
+            !name.is_unperturbed() && ids[4].variant().is_some_and(|name| name.is_unperturbed())
+        );
+        assert!(ids.is_sorted());
+        let nominal: RolloutId = "goal/t8/clean/i00".parse().expect("an id");
+        assert!(!ids.contains(&nominal) && nominal.variant().is_none());
+    }
+
+    #[test]
+    fn ids_of_suite_files_have_their_own_tasks_and_names() {
+        check("own/t129/own:libero_90/i03", "own/t129/own:libero_90/i03");
+        let id: RolloutId = "own/t129/own:libero_90/i03".parse().expect("an id");
+        assert_eq!(id.task(), TaskRef::own(129));
+        let name = id.variant().expect("a suite");
+        assert_eq!((name.benchmark(), name.change()), (None, "libero_90"));
+        assert_eq!(id.suite_name(), "libero_90");
+        assert!("own/3".parse::<TaskRef>().is_err(), "no task without its file");
+    }
+
+    #[test]
+    fn malformed_ids_are_refused() {
+        for text in [
+            "own/t256/own:libero_90/i03",
+            "own/t1/own:libero_90/i50",
+            "own/t1/own:unperturbed/i00",
+            "own/t1/plus:noise_30/i00",
+            "goal/t1/own:libero_90/i00",
+            "own/t1/clean/i00",
+            "own/t1/camera/L2/c00",
+            "",
+            "spatial",
+            "spatial/t0/camera/L2",
+            "spatial/t0/camera/L2/00",
+            "spatial/t0/camera/L2/c+1",
+            "spatial/t0/clean/L1/c00",
+            "spatial/t0/clean/i50",
+            "spatial/t0/clean/L0/c50",
+            "spatial/t0/camera/r0/c00",
+            "spatial/t10/camera/L2/c00",
+            "spatial/t0/camera/L2/c00/r1",
+            "goal/t8/paraphrase:noise_30/i00",
+            "goal/t8/plus:/i00",
+            "goal/t8/plus:noise-31/i00",
+            "goal/t8/plus:noise_30/i50",
+            "goal/t8/plus:noise_30/c00",
+            "goal/t8/plus:noise_30/L1/c00",
+            "goal/t8/variant/L1/c00",
+            "goal/t8/plus:a_change_of_more_than_31_characters/i00",
+        ] {
+            assert!(text.parse::<RolloutId>().is_err(), "{text}");
+        }
+    }
+}

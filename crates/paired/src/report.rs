@@ -1,0 +1,243 @@
+//! A report: its cells, its nominal success, and the options that it is computed with.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use benchmark::{Axis, AxisSet, Condition, Directions, Level, Measure, Suite, TaskRef};
+use serde::{Deserialize, Serialize};
+
+use crate::bootstrap::Bootstrap;
+use crate::bounds::Bounds;
+use crate::findings::Finding;
+use crate::gate::{Gate, SuiteGate};
+use crate::inference::Inference;
+use crate::measures::Measures;
+use crate::outcomes::{Count, Records};
+use crate::replication::{Components, Flips};
+
+/// Options of a report.
+#[derive(Clone, Debug, Default)]
+pub struct Options {
+    /// Caveats printed at the top, one sentence each, such as a different asset pack, a
+    /// privileged policy, or mixed versions.
+    pub notes: Vec<String>,
+    /// Settings of the bootstrap intervals.
+    pub bootstrap: Bootstrap,
+    /// The policy's published nominal success rate, a fraction, for the gate.
+    pub published_nominal: Option<f64>,
+    /// Published nominal success rates of single suites, fractions; each suite gets a gate.
+    pub published_by_suite: Vec<(Suite, f64)>,
+    /// Nominal successes reported by another source; used if no nominal rollout is
+    /// recorded.
+    pub reported_nominal: Option<Count>,
+    /// Assignment of directions to configurations.
+    pub directions: Directions,
+    /// Measures that are overstated, because the campaign stopped when they were large.
+    pub overstated: BTreeSet<Measure>,
+}
+
+/// The statistics of one policy's records.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Report {
+    /// The caller's notes.
+    pub notes: Vec<String>,
+    pub axes: Vec<Axis>,
+    /// Nominal success; absent if the campaign runs no nominal rollouts.
+    pub nominal: Option<Nominal>,
+    /// The reproduction gate; absent if no published figure is known.
+    pub gate: Option<Gate>,
+    /// The gates of single suites whose published figures are known.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub suite_gates: Vec<SuiteGate>,
+    /// Measures whose values in `cells` are overstated, because the campaign stopped when
+    /// they were large.
+    #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
+    pub overstated: BTreeSet<Measure>,
+    /// Assignment of directions to configurations.
+    #[serde(default, skip_serializing_if = "Directions::is_shared")]
+    pub directions: Directions,
+    pub cells: Vec<Cell>,
+    pub by_task: Vec<TaskSuccess>,
+    /// Rollouts whose outcome differs between replicates, by condition; empty without replicates.
+    pub flips: BTreeMap<Condition, Flips>,
+    /// Variance components by level; empty without replicates.
+    pub components: Vec<Components>,
+    /// Sentences about the figures, see [`findings`](fn@crate::findings).
+    pub findings: Vec<Finding>,
+    /// Quarantined rollouts, which no rate includes: `ID` or `ID#rK`.
+    pub quarantined: Vec<String>,
+    /// Settings of the bootstrap intervals.
+    pub bootstrap: Bootstrap,
+}
+
+impl Report {
+    /// Returns the assignment of directions of all these reports; `None` if they differ, or if
+    /// there is no report.
+    pub fn common_directions<'a>(
+        reports: impl IntoIterator<Item = &'a Self>,
+    ) -> Option<Directions> {
+        let mut directions = reports.into_iter().map(|report| report.directions);
+        let first = directions.next()?;
+        directions.all(|other| other == first).then_some(first)
+    }
+}
+
+/// Nominal rollouts of all replicates.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Nominal {
+    /// Source of the count.
+    pub source: NominalSource,
+    pub count: Count,
+    /// `count` of each replicate; empty if there is only one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_replicate: BTreeMap<u32, Count>,
+    pub gap: Gap,
+}
+
+/// Source of nominal counts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum NominalSource {
+    /// Nominal rollouts among the records.
+    Records,
+    /// A count reported by another source.
+    Reported,
+}
+
+/// One level, with the configurations of all replicates.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Cell {
+    pub level: Level,
+    /// Success under each single axis over all results, including those of incomplete
+    /// configurations.
+    pub alone: BTreeMap<Axis, SingleAxis>,
+    /// Success under proper subsets of two or more axes, over all results; empty if the
+    /// campaign runs none.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub subsets: BTreeMap<AxisSet, Count>,
+    /// Success of the simultaneous rollouts over all their results; absent if the campaign runs no
+    /// simultaneous rollouts.
+    pub simultaneous: Option<Count>,
+    /// `simultaneous` of each replicate; empty if there is only one.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub by_replicate: BTreeMap<u32, Count>,
+    /// Counts of complete configurations, over which the paired measures are computed.
+    pub completeness: Completeness,
+    /// Paired measures; absent if no configuration is complete or the campaign runs no
+    /// simultaneous rollouts.
+    pub paired: Option<Measures>,
+    /// Paired measures over the solvable configurations, whose nominal rollout succeeded.
+    pub solvable: Option<Measures>,
+    /// Worst and best case over the configurations without a missing rollout; absent if none of
+    /// them has a quarantined rollout.
+    pub bounds: Option<Bounds>,
+    /// Intraclass correlation of configurations of a task, see
+    /// [`task_correlation`](crate::design::task_correlation).
+    pub task_correlation: Option<f64>,
+    /// Inference about the paired measures; absent while no configuration is complete.
+    pub inference: Option<Inference>,
+    /// The smallest |I| detectable with the complete configurations and their `r_d`, a fraction;
+    /// see [`minimum_detectable_effect`](crate::design::minimum_detectable_effect).
+    pub minimum_detectable_i: Option<f64>,
+}
+
+/// One axis alone at one level.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SingleAxis {
+    pub count: Count,
+    /// 1 − success / nominal success; absent if either is unknown or nominal success is 0.
+    pub nominal_relative_loss: Option<f64>,
+}
+
+/// Numbers of configurations of a cell with and without all their outcomes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Completeness {
+    /// Configurations that have all their outcomes.
+    pub complete: u64,
+    /// All configurations of the cell.
+    pub expected: u64,
+    /// Numbers of missing and quarantined outcomes, for each condition that has any.
+    pub gaps: BTreeMap<Condition, Gap>,
+}
+
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Gap {
+    /// Rollouts without a result yet.
+    pub missing: u64,
+    /// Rollouts in quarantine.
+    pub quarantined: u64,
+}
+
+/// Success of one task under one condition at one level, over all replicates.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskSuccess {
+    /// The level; L0 for nominal rollouts.
+    pub level: Level,
+    pub condition: Condition,
+    pub task: TaskRef,
+    #[serde(flatten)]
+    pub count: Count,
+}
+
+/// Success under one condition at one level.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SuiteRow {
+    /// `nominal`, or a name such as `L2 camera`.
+    pub name: String,
+    /// The level; L0 for nominal rollouts.
+    pub level: Level,
+    pub condition: Condition,
+    /// Success rate of each suite, in the order of [`Report::suites`].
+    pub suites: Vec<Option<f64>>,
+    /// Mean of the suites' rates; `None` if one is unknown.
+    pub mean: Option<f64>,
+}
+
+/// Counts the results of every task, by level (nominal first) and condition.
+pub(crate) fn of_each_task(records: &Records) -> Vec<TaskSuccess> {
+    let mut counts: BTreeMap<(Level, Condition, TaskRef), Count> = BTreeMap::new();
+    for (&(_, id), &outcome) in &records.outcomes {
+        if !matches!(id.condition(), Condition::Subset(_) | Condition::Variant) {
+            counts.entry((id.level(), id.condition(), id.task())).or_default().add(outcome);
+        }
+    }
+    let row = |((level, condition, task), count)| TaskSuccess { level, condition, task, count };
+    counts.into_iter().map(row).collect()
+}
+
+impl Report {
+    /// Returns the suites whose tasks have rollouts.
+    pub fn suites(&self) -> Vec<Suite> {
+        let suites: BTreeSet<Suite> = self.by_task.iter().map(|row| row.task.suite()).collect();
+        suites.into_iter().collect()
+    }
+
+    /// Returns the success of each suite under every condition at every level.
+    pub fn suite_rows(&self) -> Vec<SuiteRow> {
+        let of_condition =
+            |a: &TaskSuccess, b: &TaskSuccess| (a.level, a.condition) == (b.level, b.condition);
+        let rows = self.by_task.chunk_by(of_condition).map(|tasks| {
+            let (level, condition) = (tasks[0].level, tasks[0].condition);
+            let rate = |suite: &Suite| {
+                let of_suite = tasks.iter().filter(|row| row.task.suite() == *suite);
+                let sum = of_suite.fold(Count::default(), |sum, row| Count {
+                    successes: sum.successes + row.count.successes,
+                    n: sum.n + row.count.n,
+                });
+                sum.rate()
+            };
+            let suites: Vec<Option<f64>> = self.suites().iter().map(rate).collect();
+            let sum: Option<f64> = suites.iter().copied().sum();
+            SuiteRow {
+                name: match condition {
+                    Condition::Nominal => condition.name().to_owned(),
+                    _ => format!("{level} {}", condition.name()),
+                },
+                level,
+                condition,
+                mean: sum.map(|sum| sum / suites.len() as f64),
+                suites,
+            }
+        });
+        rows.collect()
+    }
+}

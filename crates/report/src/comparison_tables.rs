@@ -1,0 +1,220 @@
+//! Tables of a comparison of two policies.
+
+use std::collections::BTreeSet;
+
+use benchmark::{Condition, Directions, TaskRef};
+use paired::{ComparedCell, Difference, MeanDifference, Profile, ProgressDifference};
+
+use crate::block::{Block, Cell, Rows, Table, cell, or_dash};
+use crate::comparison::Comparison;
+use crate::figures;
+use crate::page::figure;
+use crate::tables::{about_directions, ends, gap, with_intervals};
+use crate::words::{p_value, percent, points, steps};
+
+type Row<'a> = (&'a ComparedCell, &'a Difference);
+
+const CAPTION: &str = "Difference of success over the same rollouts, in points: to the right of \
+    zero, A succeeds more often. Whiskers: 95 % intervals.";
+
+impl Comparison {
+    /// Returns the figure and the tables.
+    pub(crate) fn blocks(&self) -> Vec<Block<'_>> {
+        let drawn = || figure(CAPTION, figures::differences(self).into_iter().collect());
+        let left_out = self.statistics.left_out().into_iter().map(Block::Paragraph);
+        let mut blocks: Vec<Block<'_>> = left_out.collect();
+        blocks.push(Block::Html(Box::new(drawn)));
+        let tasks = || self.tasks().folded();
+        blocks.extend([self.success(), self.intervals(), self.by_task()].map(Block::Table));
+        blocks.push(Block::Html(Box::new(tasks)));
+        blocks.push(Block::Table(self.progress(
+            "Partial progress: largest share of the goal's predicates held at once, %",
+            |progress| progress.goal,
+            percent,
+        )));
+        blocks.push(Block::Table(self.progress(
+            "Partial progress: steps until success or the end of the rollout",
+            |progress| progress.steps,
+            steps,
+        )));
+        blocks
+    }
+
+    /// Iterates over the cells with a difference.
+    fn compared(&self) -> impl Iterator<Item = Row<'_>> {
+        let cells = self.statistics.cells.iter();
+        cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
+    }
+
+    fn success(&self) -> Table {
+        let cells = &self.statistics.cells;
+        let of = |at: &ComparedCell, value: fn(&Difference) -> Cell| {
+            at.difference.as_ref().map_or_else(|| cell("–"), value)
+        };
+        let absent = self.compared().map(|(_, of)| of.no_interval).collect::<Vec<_>>();
+        let rows = Rows::new(format!("Success: {}", self.title()), cells)
+            .key("rollouts", |at| cell(at.name()))
+            .column(
+                "n",
+                "",
+                "rollouts with an outcome for both policies, of all seeds; all rates and \
+                 differences are over these",
+                |at| {
+                    let n = at.difference.as_ref().map_or(0, |difference| difference.n);
+                    gap(cell(n), at.missing, at.quarantined)
+                },
+            )
+            .column("A", "%", "", |at| of(at, |of| cell(percent(of.s_a))))
+            .column("B", "%", "", |at| of(at, |of| cell(percent(of.s_b))))
+            .column(
+                "A − B",
+                "points",
+                "difference of the success rates: above 0, A succeeds more often",
+                |at| {
+                    let seeds: Vec<String> =
+                        at.by_replicate.values().map(|value| points(*value)).collect();
+                    let seeds = match seeds.len() {
+                        0 => String::new(),
+                        count => format!("{count} seeds: {}", seeds.join(", ")),
+                    };
+                    of(at, |of| cell(points(of.difference))).below(seeds)
+                },
+            )
+            .column("95 %", "", "", |at| {
+                of(at, |of| match of.no_interval {
+                    None => ends(points, of.difference_ci95),
+                    Some(reason) => cell(reason),
+                })
+            })
+            .column("A only", "", "rollouts that only A solves", |at| of(at, |of| cell(of.a_only)))
+            .column("B only", "", "rollouts that only B solves", |at| of(at, |of| cell(of.b_only)))
+            .column(
+                "Holm p",
+                "",
+                "exact two-sided sign-flip test of A − B over tasks, corrected for the rows of the \
+                 table",
+                |at| of(at, |of| cell(p_value(of.holm_p))),
+            )
+            .when(cells.iter().any(|cell| cell.bounds.is_some()), |rows| {
+                rows.column(
+                    "worst and best",
+                    "points",
+                    "range over every outcome that quarantined rollouts could have had",
+                    |at| {
+                        let range = at.bounds.as_ref().map(|bounds| bounds.difference.map(points));
+                        or_dash(range.map(|[low, high]| format!("{low} to {high}")))
+                    },
+                )
+            });
+        with_intervals(rows, self.bootstrap.replicates, absent).table()
+    }
+
+    fn intervals(&self) -> Table {
+        let directions = match self.statistics.directions {
+            Directions::Own => "; in the row nominal, about new initial states",
+            Directions::Shared => " (in the row nominal, new initial states)",
+        };
+        let directions =
+            format!("{}{directions}", about_directions(Some(self.statistics.directions)));
+        Rows::new("A − B for further targets, points", self.compared())
+            .key("rollouts", |(at, _): &Row<'_>| cell(at.name()))
+            .column("new directions", "", directions, |(_, of)| {
+                ends(points, of.estimate.new_tasks_and_directions)
+            })
+            .column(
+                "all rows",
+                "",
+                "intervals about new tasks that all hold simultaneously with a probability of 95 %",
+                |(_, of)| ends(points, of.simultaneous_ci95),
+            )
+            .column(
+                "5 pts p",
+                "",
+                "p-value of the hypothesis that A and B differ by more than 5 points: if it is \
+                 small, A and B are equivalent",
+                |(_, of)| or_dash(of.equivalence_p.map(p_value)),
+            )
+            .column(
+                "tasks A:B",
+                "",
+                "number of tasks in which A succeeds more often, and in which B does",
+                |(_, of)| cell(format!("{}:{}", of.profile.a_better, of.profile.b_better)),
+            )
+            .table()
+    }
+
+    fn by_task(&self) -> Table {
+        let extreme = |(_, of): &Row<'_>, index: usize| {
+            let extreme = of.profile.extremes().map(|extremes| extremes[index]);
+            or_dash(extreme.map(|(task, change)| {
+                format!("{}/t{} {}", task.suite().short_name(), task.index(), points(change))
+            }))
+        };
+        Rows::new("A − B by task, points", self.compared())
+            .key("rollouts", |(at, _)| cell(at.name()))
+            .column(
+                "A better",
+                "%",
+                "probability of improvement: that A succeeds more often in a task drawn at random, \
+                 where ties count half; with the interval about new tasks",
+                |(_, of)| cell(percent(of.profile.improvement.value)),
+            )
+            .column("95 %", "", "", |(_, of)| ends(percent, of.profile.improvement.new_tasks))
+            .column("least", "", "the task with the least A − B", |row| extreme(row, 0))
+            .column("most", "", "the task with the greatest A − B", |row| extreme(row, 1))
+            .table()
+    }
+
+    /// Returns A − B of each task, nominally and under all axes.
+    fn tasks(&self) -> Table {
+        let columns = self.compared().filter(|(cell, _)| {
+            matches!(cell.condition, Condition::Nominal | Condition::Simultaneous)
+        });
+        let columns: Vec<(String, &Profile)> =
+            columns.map(|(cell, of)| (cell.name(), &of.profile)).collect();
+        let tasks = columns.iter().flat_map(|(_, profile)| profile.tasks.keys());
+        let tasks: BTreeSet<&TaskRef> = tasks.collect();
+        let mut table =
+            Rows::new("A − B of each task, points", tasks).key("task", |task| cell(task));
+        for (name, profile) in columns {
+            table = table.column(name, "", "", |task| {
+                or_dash(profile.tasks.get(*task).copied().map(points))
+            });
+        }
+        table.table()
+    }
+
+    /// Returns the table of a measure of partial progress; empty if it is of no rollout known.
+    fn progress(
+        &self,
+        name: &str,
+        measure: fn(&ProgressDifference) -> Option<MeanDifference>,
+        number: fn(f64) -> String,
+    ) -> Table {
+        let signed = |value: f64| match value < 0.0 {
+            true => number(value),
+            false => format!("+{}", number(value)),
+        };
+        let rows = self.statistics.cells.iter().filter_map(|at| {
+            let mean = measure(at.progress.as_ref()?)?;
+            Some((at, mean))
+        });
+        Rows::new(name, rows)
+            .key("rollouts", |(at, _)| cell(at.name()))
+            .column("n", "", "", |(_, mean): &(_, MeanDifference)| cell(mean.n))
+            .column("A", "", "", |(_, mean)| cell(number(mean.mean_a)))
+            .column("B", "", "", |(_, mean)| cell(number(mean.mean_b)))
+            .column("A − B", "", "", |(_, mean)| cell(signed(mean.difference.value)))
+            .column("new tasks", "", "", |(_, mean)| ends(signed, mean.difference.new_tasks))
+            .column("new directions", "", "", |(_, mean)| {
+                ends(signed, mean.difference.new_tasks_and_directions)
+            })
+            .column("Holm p", "", "", |(_, mean)| or_dash(mean.holm_p.map(p_value)))
+            .note(
+                "progress",
+                "secondary to success; a failure counts with all steps of its budget; Holm p is of \
+                 a t test over tasks, corrected for the rows of the table",
+            )
+            .table()
+    }
+}

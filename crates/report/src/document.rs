@@ -1,0 +1,397 @@
+//! A report on one or several policies, and its forms for a terminal and for
+//! programs.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::OnceLock;
+
+use benchmark::{Condition, Execution, JsonError, Level, Look};
+use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report};
+use serde::Serialize;
+
+use crate::analysis::Analysis;
+use crate::block::{self, Block, push_wrapped};
+use crate::comparison::{Comparison, Unpairable};
+use crate::explanation::Findings;
+use crate::family::{Family, FamilyError};
+use crate::interactions::AxisInteractions;
+use crate::page;
+use crate::sequential::Sequential;
+use crate::subject::{Origin, Quarantined, Subject, agree, pluralise};
+use crate::tables;
+use crate::threshold_report::ThresholdReport;
+use crate::warnings;
+
+/// Largest number of quarantined rollouts that are named; further ones are only counted.
+const MAX_NAMED: usize = 6;
+
+/// A report: the analyses of one or several policies.
+#[derive(Clone, Debug)]
+pub struct Document {
+    /// Warnings about comparing the policies, to be read first.
+    pub warnings: Vec<String>,
+    /// Analyses, one per subject, in the given order.
+    pub analyses: Vec<Analysis>,
+    /// Results of a campaign of LIBERO's family or of a suite file, by dimension, suite, or type of
+    /// paraphrase.
+    /// Reports show them instead of the measures of LIBERO-CTRL.
+    pub family: Option<Family>,
+    /// Comparisons of all pairs, computed when first read.
+    comparisons: OnceLock<Vec<Result<Comparison, Unpairable>>>,
+}
+
+/// Failure to build or write a report.
+#[derive(Debug, thiserror::Error)]
+pub enum DocumentError {
+    #[error("measure policy `{policy}`")]
+    Duplicate { policy: String, source: DuplicateRecord },
+    /// A campaign of LIBERO's family or of a suite file has a variant or protocol that this program
+    /// does not know.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
+    /// Rollouts of LIBERO's family or of a suite file are reported together with other subjects, or
+    /// lack their protocol.
+    #[error(
+        "report on policy `{policy}`: its rollouts are of LIBERO's family or of a suite file, and \
+         such rollouts are never pooled with others; report on one campaign alone, or on one file \
+         of its exported rows with their `protocol`"
+    )]
+    Pooled { policy: String },
+    #[error("write the report as JSON")]
+    Json(#[from] JsonError),
+}
+
+/// The JSON form: warnings, then the measures by policy and level, then the whole reports.
+#[derive(Serialize)]
+struct JsonForm<'a> {
+    warnings: &'a [String],
+    /// Measures of all replicates; null if no configuration is complete.
+    paired: BTreeMap<&'a str, BTreeMap<Level, Option<&'a Measures>>>,
+    reports: Vec<JsonReport<'a>>,
+}
+
+#[derive(Serialize)]
+struct JsonReport<'a> {
+    label: &'a str,
+    policy: &'a str,
+    origin: &'a Origin,
+    realisation: Option<&'a str>,
+    placebo_radius: Option<f64>,
+    execution: &'a Execution,
+    errors: &'a [Quarantined],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sequential: Option<&'a Sequential>,
+    #[serde(flatten)]
+    report: &'a Report,
+    /// In the form of `explain --json`.
+    explanation: Option<&'a Findings>,
+    /// In the form of `thresholds --json`.
+    thresholds: Option<&'a ThresholdReport>,
+    /// In the form of `interactions --json`.
+    interactions: Option<&'a AxisInteractions>,
+}
+
+/// The JSON form of a campaign of LIBERO's family or of a suite file.
+#[derive(Serialize)]
+struct FamilyForm<'a> {
+    warnings: Vec<&'a String>,
+    origin: &'a Origin,
+    errors: &'a [Quarantined],
+    family: &'a Family,
+}
+
+impl Document {
+    /// Analyses the subjects.
+    pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
+        let is_pooled = |subject: &&Subject| {
+            let mut records = subject.records.iter();
+            let is_of_family = records.any(|record| record.id.variant().is_some());
+            is_of_family && (subjects.len() > 1 || subject.protocol.is_none())
+        };
+        if let Some(subject) = subjects.iter().find(is_pooled) {
+            let policy = subject.policy.clone();
+            return Err(DocumentError::Pooled { policy });
+        }
+        let family = match subjects.first() {
+            Some(subject) => Family::of(subject)?,
+            None => None,
+        };
+        let warnings = warnings::comparison_warnings(&subjects);
+        let labels = labels(&subjects);
+        let analyses = labels.into_iter().zip(subjects);
+        let analyses = analyses.map(|(label, subject)| {
+            let duplicate = |source| DocumentError::Duplicate { policy: label.clone(), source };
+            Analysis::new(label.clone(), subject).map_err(duplicate)
+        });
+        let analyses = analyses.collect::<Result<_, _>>()?;
+        Ok(Self { warnings, analyses, family, comparisons: OnceLock::new() })
+    }
+
+    /// Compares every policy with every later one.
+    pub(crate) fn comparisons(&self) -> &[Result<Comparison, Unpairable>] {
+        self.comparisons.get_or_init(|| {
+            let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
+                let later = self.analyses[index + 1..].iter();
+                later.map(move |b| Comparison::of([a, b], [&a.subject.setups, &b.subject.setups]))
+            });
+            pairs.collect()
+        })
+    }
+
+    /// Returns the label and the measures of each policy with complete configurations at a
+    /// level.
+    pub(crate) fn paired(&self, level: Level) -> Vec<(&str, &Measures)> {
+        let policies = self.analyses.iter().filter_map(|analysis| {
+            let measures = analysis.cell(level)?.paired.as_ref()?;
+            Some((analysis.label.as_str(), measures))
+        });
+        policies.collect()
+    }
+
+    /// Writes the report as JSON, several lines.
+    pub fn json(&self) -> Result<String, DocumentError> {
+        if let (Some(family), [analysis]) = (&self.family, self.analyses.as_slice()) {
+            let text = serde_json::to_string_pretty(&FamilyForm {
+                warnings: self.notes().collect(),
+                origin: &analysis.subject.origin,
+                errors: &analysis.subject.errors,
+                family,
+            });
+            return Ok(text.map_err(JsonError::from)?);
+        }
+        let paired = self.analyses.iter().map(|analysis| {
+            let levels =
+                analysis.report.cells.iter().map(|cell| (cell.level, cell.paired.as_ref()));
+            (analysis.label.as_str(), levels.collect())
+        });
+        let reports = self.analyses.iter().map(|analysis| JsonReport {
+            label: &analysis.label,
+            policy: &analysis.subject.policy,
+            origin: &analysis.subject.origin,
+            realisation: analysis.subject.realisation.map(|r| r.name()),
+            placebo_radius: analysis.subject.placebo_radius,
+            execution: &analysis.subject.execution,
+            errors: &analysis.subject.errors,
+            sequential: analysis.sequential.as_ref(),
+            report: &analysis.report,
+            explanation: analysis.findings.as_ref(),
+            thresholds: analysis.thresholds.as_ref(),
+            interactions: analysis.interactions.as_ref(),
+        });
+        let text = serde_json::to_string_pretty(&JsonForm {
+            warnings: &self.warnings,
+            paired: paired.collect(),
+            reports: reports.collect(),
+        });
+        Ok(text.map_err(JsonError::from)?)
+    }
+
+    /// Returns the warnings about the outcomes of each policy.
+    fn notes(&self) -> impl Iterator<Item = &String> {
+        let analyses = self.analyses.iter();
+        analyses.flat_map(|analysis| &analysis.report.notes)
+    }
+
+    /// Returns all warnings, to be read first.
+    pub(crate) fn all_warnings(&self) -> Vec<String> {
+        let several = self.analyses.len() > 1;
+        let of_policies = self.analyses.iter().flat_map(|analysis| {
+            let prefix = if several { format!("`{}`: ", analysis.label) } else { String::new() };
+            let quarantined = quarantined(&analysis.report.quarantined);
+            let quarantined = quarantined.filter(|_| self.family.is_none());
+            let notes = analysis.report.notes.iter().cloned().chain(quarantined);
+            notes.map(move |note| format!("{prefix}{note}"))
+        });
+        self.warnings.iter().cloned().chain(of_policies).collect()
+    }
+
+    /// Writes a short report for a terminal of 80 columns: success by condition, and
+    /// findings as sentences.
+    pub fn brief(&self) -> String {
+        let mut text = String::new();
+        if let Some(family) = &self.family {
+            push_warnings(&mut text, &self.all_warnings());
+            text.push_str(&family.brief());
+            return text;
+        }
+        push_warnings(&mut text, &self.warnings);
+        for analysis in &self.analyses {
+            if !text.is_empty() {
+                text.push('\n');
+            }
+            text.push_str(&title(&analysis.subject));
+            push_warnings(&mut text, &analysis.report.notes);
+            text.push('\n');
+            text.push_str(&match analysis.derived(None) {
+                derived if derived.is_empty() => block::text(&brief(analysis)),
+                derived => block::text(derived.iter().flat_map(|section| &section.blocks)),
+            });
+        }
+        if self.analyses.iter().any(Analysis::is_paired) {
+            text.push('\n');
+            push_wrapped(
+                &mut text,
+                "",
+                "`--full` prints the paired measures with their intervals, and the meaning of each \
+                 symbol; `--html FILE` writes a page with figures, `--table FILE.csv` the outcomes.",
+            );
+        }
+        text
+    }
+
+    /// Writes the whole report for a terminal of 80 columns.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        push_warnings(&mut text, &self.warnings);
+        for analysis in &self.analyses {
+            if !text.is_empty() {
+                text.push('\n');
+            }
+            text.push_str(&head(&analysis.subject));
+        }
+        text.push('\n');
+        push_warnings(&mut text, &self.all_warnings()[self.warnings.len()..]);
+        if !text.ends_with("\n\n") {
+            text.push('\n');
+        }
+        let title = self.family.as_ref().map(|family| Block::Heading(family.heading()));
+        let sections = page::of_document(self, None);
+        let blocks = sections.iter().flat_map(|section| &section.blocks);
+        text + &block::text(title.iter().chain(blocks))
+    }
+}
+
+/// Returns the short report for readers who do not know the protocol's symbols. Of the findings
+/// about a level, and of simultaneous success by suite, it has only those at the last level.
+fn brief(analysis: &Analysis) -> Vec<Block<'_>> {
+    let report = &analysis.report;
+    let last = report.cells.last().map(|cell| cell.level);
+    let findings = report.findings.iter();
+    let findings = findings.filter(|finding| finding.level.is_none() || finding.level == last);
+    let (directions, main): (Vec<&Finding>, Vec<&Finding>) =
+        findings.partition(|finding| finding.kind == FindingKind::Directions);
+    let sentence = |finding: &Finding| Block::Paragraph(finding.sentence.clone());
+    let suites = tables::suites(analysis, "", |row| match row.condition {
+        Condition::Nominal => true,
+        condition => condition == Condition::Simultaneous && Some(row.level) == last,
+    });
+    let mut blocks: Vec<Block<'_>> = main.into_iter().map(sentence).collect();
+    blocks.push(Block::Table(tables::success(std::slice::from_ref(analysis), true)));
+    blocks.push(Block::Table(suites));
+    blocks.extend(tables::gates(report).into_iter().map(Block::Paragraph));
+    blocks.extend(directions.into_iter().map(sentence));
+    blocks.extend(incomplete(report).map(Block::Paragraph));
+    blocks
+}
+
+/// Returns the sentence about rollouts without an outcome; `None` if there are none.
+fn incomplete(report: &Report) -> Option<String> {
+    let mut gaps: Vec<_> = report.nominal.iter().map(|nominal| nominal.gap).collect();
+    gaps.extend(report.cells.iter().flat_map(|cell| cell.completeness.gaps.values().copied()));
+    let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
+    let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
+    let parts = [
+        (missing, ["has", "have"], "no outcome yet"),
+        (quarantined, ["is", "are"], "in quarantine"),
+    ];
+    let parts = parts.into_iter().filter(|(count, ..)| *count > 0);
+    let parts = parts.map(|(count, [singular, plural], state)| {
+        format!("{count} {} {state}", agree(count, singular, plural))
+    });
+    let parts: Vec<String> = parts.collect();
+    (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", parts.join(" and ")))
+}
+
+/// Names some of the quarantined rollouts; `None` if there are none.
+fn quarantined(names: &[String]) -> Option<String> {
+    let named = names[..names.len().min(MAX_NAMED)].join(", ");
+    let more = match names.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let count = names.len() as u64;
+    (count > 0).then(|| {
+        format!(
+            "{} {} in quarantine (failed too often, or skipped) and in no rate: {named}{more}",
+            pluralise(count, "rollout"),
+            agree(count, "is", "are")
+        )
+    })
+}
+
+fn push_warnings(text: &mut String, warnings: &[String]) {
+    for warning in warnings {
+        push_wrapped(text, "! ", warning);
+    }
+}
+
+/// Returns a unique label per policy: its name, with its origin if two names are equal,
+/// and with a number if the origins are equal too.
+fn labels(subjects: &[Subject]) -> Vec<String> {
+    let mut labels: Vec<String> = Vec::new();
+    let mut used = BTreeSet::new();
+    for subject in subjects {
+        let namesakes = subjects.iter().filter(|other| other.policy == subject.policy);
+        let mut label = match namesakes.count() {
+            1 => subject.policy.clone(),
+            _ => format!("{} ({})", subject.policy, subject.origin_name()),
+        };
+        let base = label.clone();
+        for number in 2.. {
+            if used.insert(label.clone()) {
+                break;
+            }
+            label = format!("{base} {number}");
+        }
+        labels.push(label);
+    }
+    labels
+}
+
+/// Returns a heading with the campaign or file and the policy.
+fn title(subject: &Subject) -> String {
+    let mut text = String::new();
+    let line = match &subject.origin {
+        Origin::Campaign { name, endpoint, .. } => {
+            format!("campaign {name}, policy {} at {endpoint}", subject.policy)
+        }
+        Origin::File { name, .. } => format!("policy {}, results of {name}", subject.policy),
+    };
+    push_wrapped(&mut text, "", &line);
+    text
+}
+
+/// Returns the heading of the whole report: campaign or file, policy, realisation mode and
+/// execution model.
+fn head(subject: &Subject) -> String {
+    let policy = &subject.policy;
+    let realisation = match subject.realisation {
+        Some(realisation) => realisation.name(),
+        None => "unknown",
+    };
+    let execution = match &subject.execution {
+        Execution::Wait => String::new(),
+        execution => format!("execution model {execution}\n"),
+    };
+    let looks: Vec<&str> = subject.looks().into_iter().map(Look::name).collect();
+    let look = match looks.join(" and ") {
+        looks if looks.is_empty() => looks,
+        looks => format!(", look {looks}"),
+    };
+    match &subject.origin {
+        Origin::Campaign { name, endpoint, design } => format!(
+            "campaign {name}\npolicy {policy} at {endpoint}\n\
+             design {design}, realisation {realisation}{look}\n{execution}"
+        ),
+        Origin::File { name, digest, source } => {
+            let mut head = format!("policy {policy}, results of {name}\n");
+            if !source.is_empty() {
+                push_wrapped(&mut head, "", source);
+            }
+            let digest = warnings::abbreviated_digest(digest);
+            head.push_str(&format!(
+                "SHA-256 {digest}…, realisation {realisation}{look}\n{execution}"
+            ));
+            head
+        }
+    }
+}
