@@ -1,11 +1,11 @@
 #!/bin/sh
-# Fills the corpora: with the seed inputs of `untrusted-input`, with LIBERO's files that
+# Fills the corpora: with the seed inputs of the tests, with LIBERO's files that
 # `cargo xtask setup` unpacked (this repository contains none of them), and with the
 # models of the built-in pack.
 set -eu
 cd "$(dirname "$0")/.."
 sources=${ROLLOUT_SOURCES:-${XDG_CACHE_HOME:-$HOME/.cache}/rollout/sources}
-cargo run --quiet --package untrusted-input --example seeds fuzz/corpus
+cargo run --quiet --package tests --example seeds fuzz/corpus
 
 cp "$sources"/libero/bddl_files/*/*.bddl fuzz/corpus/bddl/
 find assets/primitives -name '*.xml' ! -path '*/scenes/*' -exec cp {} fuzz/corpus/mjcf/ \;

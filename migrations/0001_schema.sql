@@ -295,7 +295,7 @@ CREATE INDEX failure_cut_off ON failure (job_id) WHERE ceiling_ms IS NOT NULL;
 
 -- Results
 
--- The part of a result's origin that many results share: the JSON of rollout_types::Provenance. The
+-- The part of a result's origin that many results share: the JSON of benchmark::attempt::Provenance. The
 -- generated columns are those that statements read.
 CREATE TABLE provenance (
     id               INTEGER PRIMARY KEY,
@@ -321,7 +321,7 @@ CREATE TABLE result (
     worker_id        TEXT    NOT NULL REFERENCES worker (id),
     committed_ms     INTEGER NOT NULL,
     provenance_id    INTEGER NOT NULL REFERENCES provenance (id),
-    -- The JSON of rollout_types::RolloutResult, which checks its bounds. The generated columns are
+    -- The JSON of benchmark::attempt::RolloutResult, which checks its bounds. The generated columns are
     -- those that statements read of many results.
     outcome          TEXT    NOT NULL,
     success          INTEGER NOT NULL AS (outcome ->> 'success') STORED CHECK (success IN (0, 1)),

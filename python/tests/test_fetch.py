@@ -1,5 +1,5 @@
 """Fetching of LIBERO's assets, from a package index on this machine over real sockets. The tests of
-the crate `assets` prove the rest: faults of an index, and that a further fetch continues."""
+`scene::assets` prove the rest: faults of an index, and that a further fetch continues."""
 
 import functools
 import hashlib

@@ -1,4 +1,4 @@
-//! Compares LIBERO-Para with LIBERO and with the data of `libero-family`, in a checkout that
+//! Compares LIBERO-Para with LIBERO and with the data of `benchmark::family`, in a checkout that
 //! `ROLLOUT_PARA` names.
 
 use std::fs;

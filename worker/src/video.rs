@@ -1,6 +1,5 @@
 //! Encodes videos of rollouts: both cameras side by side at 20 frames per second, as H.264 in MP4
-//! for browsers. Turns the simulator's bottom-up frames upright, converts colours and builds the
-//! file; rendering and storing are up to the caller.
+//! for browsers.
 
 use muxide::api::{Muxer, MuxerBuilder, MuxerError, VideoCodec};
 use openh264::OpenH264API;
@@ -9,6 +8,7 @@ use openh264::encoder::{
     VuiConfig,
 };
 use openh264::formats::YUVBuffer;
+use sim::bt709;
 
 pub const PANE_SIDE: usize = 256;
 pub const FRAMES_PER_SEC: f64 = 20.0;
@@ -73,7 +73,7 @@ impl VideoEncoder {
         if let Some(pane) = panes.iter().find(|pane| pane.len() != PANE_BYTES) {
             return Err(VideoError::PaneSize { given: pane.len() });
         }
-        let picture = YUVBuffer::from_vec(yuv_of(panes), WIDTH, HEIGHT);
+        let picture = YUVBuffer::from_vec(bt709(panes, PANE_SIDE), WIDTH, HEIGHT);
         let encoded = self.encoder.encode(&picture)?;
         let keyframe = matches!(encoded.frame_type(), FrameType::IDR | FrameType::I);
         let shown_at_secs = f64::from(self.frames) / FRAMES_PER_SEC;
@@ -88,49 +88,6 @@ impl VideoEncoder {
     }
 }
 
-/// Converts the two panes to one upright planar 4:2:0 frame in BT.709, limited range. openh264's
-/// own conversion uses the coefficients of BT.601, which would shift the colours of a stream
-/// declared as BT.709.
-fn yuv_of(panes: [&[u8]; 2]) -> Vec<u8> {
-    let mut yuv = vec![0; WIDTH * HEIGHT * 3 / 2];
-    let (luma, chroma) = yuv.split_at_mut(WIDTH * HEIGHT);
-    let (blue, red) = chroma.split_at_mut(WIDTH * HEIGHT / 4);
-    for y in (0..HEIGHT).step_by(2) {
-        for x in (0..WIDTH).step_by(2) {
-            let mut sum = [0.0; 3];
-            for (x, y) in [(x, y), (x + 1, y), (x, y + 1), (x + 1, y + 1)] {
-                let rgb = pixel(panes, x, y);
-                luma[y * WIDTH + x] = quantise(16.0 + 219.0 * brightness(rgb));
-                for (sum, channel) in sum.iter_mut().zip(rgb) {
-                    *sum += channel / 4.0;
-                }
-            }
-            let bright = brightness(sum);
-            let at = y / 2 * (WIDTH / 2) + x / 2;
-            blue[at] = quantise(128.0 + 224.0 * (sum[2] - bright) / 1.8556);
-            red[at] = quantise(128.0 + 224.0 * (sum[0] - bright) / 1.5748);
-        }
-    }
-    yuv
-}
-
-/// Returns red, green and blue in [0, 1] at column `x` and row `y` from the top.
-fn pixel(panes: [&[u8]; 2], x: usize, y: usize) -> [f32; 3] {
-    let at = ((PANE_SIDE - 1 - y) * PANE_SIDE + x % PANE_SIDE) * 3;
-    let pane = panes[x / PANE_SIDE];
-    [pane[at], pane[at + 1], pane[at + 2]].map(|channel| f32::from(channel) / 255.0)
-}
-
-/// Returns the Rec. 709 luma of a colour.
-fn brightness([red, green, blue]: [f32; 3]) -> f32 {
-    0.2126 * red + 0.7152 * green + 0.0722 * blue
-}
-
-/// Rounds to an integer of 0..=255; the cast saturates.
-fn quantise(value: f32) -> u8 {
-    value.round() as u8
-}
-
 #[cfg(test)]
 mod tests {
     use openh264::decoder::Decoder;
@@ -143,32 +100,6 @@ mod tests {
         let mut pixels = bottom.repeat(rows);
         pixels.extend(top.repeat(rows));
         pixels
-    }
-
-    #[test]
-    fn pictures_stand_upright_side_by_side() {
-        let left = pane([255, 255, 255], [0, 0, 0]);
-        let right = pane([0, 0, 0], [255, 255, 255]);
-        let yuv = yuv_of([&left, &right]);
-        let luma = |x: usize, y: usize| yuv[y * WIDTH + x];
-        assert_eq!([luma(0, 0), luma(255, 127), luma(0, 255)], [235, 235, 16]);
-        assert_eq!([luma(256, 0), luma(511, 255)], [16, 235]);
-    }
-
-    /// Expected values: ITU-R BT.709-6, table 4, for 8 bits.
-    #[test]
-    fn primaries_have_the_codes_of_bt_709() {
-        let check = |rgb: [u8; 3], expected: [u8; 3]| {
-            let colour = pane(rgb, rgb);
-            let yuv = yuv_of([&colour, &colour]);
-            let quarter = WIDTH * HEIGHT / 4;
-            let codes = [yuv[0], yuv[4 * quarter], yuv[5 * quarter]];
-            assert_eq!(codes, expected, "{rgb:?}");
-        };
-        check([255, 0, 0], [63, 102, 240]);
-        check([0, 255, 0], [173, 42, 26]);
-        check([0, 0, 255], [32, 240, 118]);
-        check([128, 128, 128], [126, 128, 128]);
     }
 
     #[test]
@@ -192,7 +123,7 @@ mod tests {
         let picture = decoder.decode(&units(samples[0])).expect("a picture");
         let picture = picture.expect("the first picture");
         assert_eq!(picture.dimensions(), (WIDTH, HEIGHT));
-        let expected = yuv_of([&still, &pane([0; 3], [0, 0, 90])]);
+        let expected = bt709([&still, &pane([0; 3], [0, 0, 90])], PANE_SIDE);
         let off = (0..HEIGHT)
             .flat_map(|y| (0..WIDTH).map(move |x| (x, y)))
             .map(|(x, y)| {

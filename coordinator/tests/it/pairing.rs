@@ -247,7 +247,7 @@ async fn a_result_is_stored_as_it_was_sent() {
     assert_eq!(format!(r#"{{"result":{outcome},"provenance":{origin}}}"#), printed);
 }
 
-/// Wrong types, and fields that this program does not know, are named; `rollout-types` tests the
+/// Wrong types, and fields that this program does not know, are named; `benchmark` tests the
 /// bounds.
 #[tokio::test]
 async fn a_result_that_no_worker_of_this_protocol_sends_is_refused_by_field() {

@@ -1,4 +1,4 @@
-//! Benchmarks of LIBERO's family, whose variants a campaign can run. `libero-family` defines the
+//! Benchmarks of LIBERO's family, whose variants a campaign can run. `family` defines the
 //! variants.
 
 use std::fmt;

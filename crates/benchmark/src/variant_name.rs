@@ -1,6 +1,6 @@
 //! Name of a variant within its task, as written in rollout ids of LIBERO's family:
 //! `plus:noise_30`, `pro:swap`, `para:act_hint_1`, `plus:unperturbed`; or `own:NAME` for a task of
-//! suite `NAME` of a suite file. Only the form is checked here: `libero-family` defines the
+//! suite `NAME` of a suite file. Only the form is checked here: `family` defines the
 //! variants of each benchmark.
 
 use std::fmt;

@@ -1,5 +1,5 @@
 //! Batch size that a description permits, and the difference between two descriptions. Pure
-//! functions. The crate `policy-protocol` checks descriptions and answers.
+//! functions. `proto::checks` checks descriptions and answers.
 
 use benchmark::attempt::CONNECTED_SINCE;
 use proto::policy::DescribeResponse;

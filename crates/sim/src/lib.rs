@@ -3,7 +3,7 @@
 //!
 //! The behaviour follows hf-libero 0.1.4 with robosuite 1.4.0.
 //!
-//! All `unsafe` code of the workspace, except a matrix product in `student`, is in this crate: in
+//! All `unsafe` code of the workspace, except a matrix product of `builtin-policies`, is in this crate: in
 //! [`mujoco`], in the OpenGL calls and thread-bound values of [`render`], and in the mapping of
 //! scene files. It is behind safe types, and every block states why it is sound.
 
@@ -26,6 +26,7 @@ mod scene_files;
 pub mod simulator;
 mod state;
 mod variant;
+mod yuv;
 
 pub use compiled_scene::CompiledScene;
 pub use controller::ActionFrame;
@@ -43,3 +44,4 @@ pub use scene_files::{SceneFileError, SceneFolder};
 pub use simulator::{Simulator, SimulatorConfig};
 pub use state::{CapturedView, Snapshot};
 pub use variant::{Start, VariantStart};
+pub use yuv::bt709;

@@ -15,14 +15,14 @@ mod json_keys;
 mod judgement;
 mod outages;
 #[path = "../doctor/planted.rs"]
-#[allow(dead_code, reason = "only the tests of policy-doctor use all of this file")]
+#[allow(dead_code, reason = "only the doctor's tests use all of this file")]
 mod planted;
 mod program;
 mod recordings;
 mod replicas;
 mod routing;
 #[path = "../doctor/scripted.rs"]
-#[allow(dead_code, reason = "only the tests of policy-doctor use all of this file")]
+#[allow(dead_code, reason = "only the doctor's tests use all of this file")]
 mod scripted;
 mod sessions;
 mod support;

@@ -106,7 +106,7 @@ def variants(package: pathlib.Path) -> list:
         return all(texture.is_file() for texture in textures)
 
     known, found = tasks(), []
-    for line in (CRATES / "libero-family/data/plus.txt").read_text().splitlines():
+    for line in (CRATES / "data/plus.txt").read_text().splitlines():
         short, index, kind, *items = line.split()
         if kind not in SUFFIXES:
             continue

@@ -1,4 +1,4 @@
-//! `builtin:expert`: the crate `expert` behind the policy protocol. It requests the
+//! `builtin:expert`: `builtin_policies::expert` behind the policy protocol. It requests the
 //! simulator's own state, so all its results are marked privileged.
 
 use benchmark::{Entity, EntityKind, Predicate, Privileged};

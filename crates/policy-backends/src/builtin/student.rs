@@ -1,5 +1,5 @@
 //! `builtin:student`: a small learned policy with both cameras and the instruction as inputs, for
-//! evaluations without a checkpoint or a GPU. The network is in the crate `student`.
+//! evaluations without a checkpoint or a GPU. The network is in `builtin_policies::student`.
 
 use std::{
     path::{Path, PathBuf},
