@@ -11,6 +11,10 @@ use crate::names::{UnknownName, serde_as_text};
 /// Name of the condition of every rollout of LIBERO's family or of a suite file.
 const VARIANT: &str = "variant";
 
+/// The reference's names of two conditions, which are read everywhere and written in its formats.
+const PUBLISHED: [(Condition, &str); 2] =
+    [(Condition::Nominal, "clean"), (Condition::Simultaneous, "combination")];
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Condition {
     Nominal,
@@ -51,8 +55,7 @@ impl Condition {
         matches!(self, Self::Single(axis) if axis.def().acts_on == ActsOn::Answers)
     }
 
-    /// Returns the benchmark's published name, used in rollout ids and manifests and hashed into
-    /// seeds. The display name is [`Self::label`].
+    /// Returns the paper's name, used in rollout ids.
     pub fn name(self) -> &'static str {
         match self {
             Self::Nominal => "nominal",
@@ -61,6 +64,12 @@ impl Condition {
             Self::Simultaneous => "simultaneous",
             Self::Variant => VARIANT,
         }
+    }
+
+    /// Returns the reference's name, which its manifests have and which is hashed into seeds.
+    pub fn published(self) -> &'static str {
+        let published = PUBLISHED.iter().find(|(condition, _)| *condition == self);
+        published.map_or(self.name(), |(_, name)| name)
     }
 
     /// Returns the display name, as in the paper: `nominal`, the axes, or `simultaneous`.
@@ -82,11 +91,14 @@ impl fmt::Display for Condition {
 impl FromStr for Condition {
     type Err = UnknownName;
 
-    /// Parses the paper's name or the published name.
+    /// Parses the paper's name or the reference's.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
+        if let Some((condition, _)) = PUBLISHED.iter().find(|(_, name)| *name == text) {
+            return Ok(*condition);
+        }
         match text {
-            "nominal" | "clean" => Ok(Self::Nominal),
-            "simultaneous" | "combination" => Ok(Self::Simultaneous),
+            "nominal" => Ok(Self::Nominal),
+            "simultaneous" => Ok(Self::Simultaneous),
             VARIANT => Ok(Self::Variant),
             axes => match (axes.parse().map(Self::Single), axes.parse()) {
                 (Ok(single), _) => Ok(single),

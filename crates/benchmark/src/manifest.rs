@@ -63,11 +63,11 @@ pub fn check(rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
     checker.finish(rows.len())
 }
 
+/// Returns rows as a manifest, with the reference's names.
 pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     let mut text = String::new();
     for row in rows {
-        let json = serde_json::to_string(row).expect("a row of text and numbers serialises");
-        text.push_str(&json);
+        text.push_str(&row.published());
         text.push('\n');
     }
     text

@@ -18,10 +18,9 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for ex
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
-/// The last number is the configuration. A clean rollout has an initial state instead,
-/// `spatial/t0/clean/i07`, as in the reference's files; the text must match the reference's,
-/// because seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
-/// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
+/// The last number is the configuration. A nominal rollout has an initial state instead,
+/// `spatial/t0/nominal/i07`. The parser also accepts `spatial/t0/nominal/L0/c07`, and the
+/// reference's names of conditions.
 ///
 /// A rollout of LIBERO's family has the benchmark, the benchmark's name of the change, and an
 /// initial state: `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`,
@@ -81,7 +80,7 @@ impl RolloutId {
         self.condition
     }
 
-    /// Returns the level of perturbation; L0 in clean rollouts, at the placebo level, and in
+    /// Returns the level of perturbation; L0 in nominal rollouts, at the placebo level, and in
     /// rollouts of LIBERO's family or of a suite file.
     pub const fn level(&self) -> Level {
         self.level
@@ -91,7 +90,7 @@ impl RolloutId {
         self.level == Level::L0 && has_config(self.condition)
     }
 
-    /// `None` for a clean rollout, and for a rollout of LIBERO's family or of a suite file.
+    /// `None` for a nominal rollout, and for a rollout of LIBERO's family or of a suite file.
     pub fn config(&self) -> Option<u16> {
         has_config(self.condition).then_some(self.number)
     }
@@ -114,22 +113,29 @@ impl RolloutId {
     pub const fn number(&self) -> u16 {
         self.number
     }
+
+    /// Returns the id as the reference writes it: its manifests have this text, and seeds are
+    /// derived from it.
+    pub fn published(&self) -> String {
+        self.text(self.condition.published())
+    }
+
+    fn text(&self, condition: &str) -> String {
+        let (suite, task) = (self.task.suite().short_name(), self.task.index());
+        let (level, number) = (self.level, self.number);
+        match self.variant {
+            Some(variant) => format!("{suite}/t{task}/{variant}/i{number:02}"),
+            None if has_config(self.condition) => {
+                format!("{suite}/t{task}/{condition}/{level}/c{number:02}")
+            }
+            None => format!("{suite}/t{task}/{condition}/i{number:02}"),
+        }
+    }
 }
 
 impl fmt::Display for RolloutId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (suite, task) = (self.task.suite().short_name(), self.task.index());
-        let (condition, number) = (self.condition, self.number);
-        if let Some(variant) = self.variant {
-            return write!(f, "{suite}/t{task}/{variant}/i{number:02}");
-        }
-        match condition {
-            Condition::Nominal => write!(f, "{suite}/t{task}/{condition}/i{number:02}"),
-            _ => {
-                let level = self.level;
-                write!(f, "{suite}/t{task}/{condition}/{level}/c{number:02}")
-            }
-        }
+        f.write_str(&self.text(self.condition.name()))
     }
 }
 
@@ -157,7 +163,9 @@ impl FromStr for RolloutId {
                 .ok_or_else(|| unknown(text));
         }
         let (condition, level, number) = match rest {
-            ["clean" | "nominal", state] => (Condition::Nominal, Level::L0, number(state, "i")),
+            [condition, state] if condition.parse() == Ok(Condition::Nominal) => {
+                (Condition::Nominal, Level::L0, number(state, "i"))
+            }
             [condition, level, config] => (condition.parse()?, level.parse()?, number(config, "c")),
             _ => return Err(unknown(text)),
         };
