@@ -12,7 +12,7 @@ use crate::names::{UnknownName, serde_as_text};
 const VARIANT: &str = "variant";
 
 /// The reference's names of two conditions, which are read everywhere and written in its formats.
-const PUBLISHED: [(Condition, &str); 2] =
+pub const PUBLISHED: [(Condition, &str); 2] =
     [(Condition::Nominal, "clean"), (Condition::Simultaneous, "combination")];
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -55,7 +55,7 @@ impl Condition {
         matches!(self, Self::Single(axis) if axis.def().acts_on == ActsOn::Answers)
     }
 
-    /// Returns the paper's name, used in rollout ids.
+    /// Returns the name, as in the paper.
     pub fn name(self) -> &'static str {
         match self {
             Self::Nominal => "nominal",
@@ -70,15 +70,6 @@ impl Condition {
     pub fn published(self) -> &'static str {
         let published = PUBLISHED.iter().find(|(condition, _)| *condition == self);
         published.map_or(self.name(), |(_, name)| name)
-    }
-
-    /// Returns the display name, as in the paper: `nominal`, the axes, or `simultaneous`.
-    pub fn label(self) -> &'static str {
-        match self {
-            Self::Nominal => "nominal",
-            Self::Simultaneous => "simultaneous",
-            other => other.name(),
-        }
     }
 }
 
@@ -170,8 +161,8 @@ mod tests {
             conditions.iter().map(|condition| condition.name()).collect();
         assert_eq!(distinct.len(), 64);
         assert!(distinct.contains("camera+robot"));
-        for &condition in &conditions {
-            assert_eq!(condition.name().parse(), Ok(condition));
+        for (condition, published) in PUBLISHED {
+            assert_eq!((published.parse(), condition.published()), (Ok(condition), published));
         }
         let unknown = "sim".parse::<Condition>().expect_err("no condition").to_string();
         assert!(unknown.contains("nominal, simultaneous, camera"), "{unknown}");

@@ -227,16 +227,14 @@ mod tests {
         check("goal/t9/robot/r4.0/c1", "goal/t9/robot/L2/c01");
         check("goal/t9/clean/i49", "goal/t9/nominal/i49");
         check("spatial/t0/clean/L0/c07", "spatial/t0/nominal/i07");
-        check("spatial/t0/nominal/i07", "spatial/t0/nominal/i07");
         check("spatial/t0/camera/L0/c03", "spatial/t0/camera/L0/c03");
-        check("long/t5/simultaneous/L3/c08", "long/t5/simultaneous/L3/c08");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
         assert_eq!((id.level(), id.config()), (Level::L3, Some(8)));
         let is_placebo = |text: &str| text.parse::<RolloutId>().expect("an id").is_placebo();
         assert!(is_placebo("spatial/t0/language/L0/c03"));
-        assert!(!is_placebo("spatial/t0/clean/i03") && !is_placebo("spatial/t0/language/L1/c03"));
+        assert!(!is_placebo("spatial/t0/nominal/i03") && !is_placebo("spatial/t0/language/L1/c03"));
     }
 
     #[test]
@@ -264,7 +262,7 @@ mod tests {
             !name.is_unperturbed() && ids[4].variant().is_some_and(|name| name.is_unperturbed())
         );
         assert!(ids.is_sorted());
-        let nominal: RolloutId = "goal/t8/clean/i00".parse().expect("an id");
+        let nominal: RolloutId = "goal/t8/nominal/i00".parse().expect("an id");
         assert!(!ids.contains(&nominal) && nominal.variant().is_none());
     }
 
@@ -287,16 +285,16 @@ mod tests {
             "own/t1/own:unperturbed/i00",
             "own/t1/plus:noise_30/i00",
             "goal/t1/own:libero_90/i00",
-            "own/t1/clean/i00",
+            "own/t1/nominal/i00",
             "own/t1/camera/L2/c00",
             "",
             "spatial",
             "spatial/t0/camera/L2",
             "spatial/t0/camera/L2/00",
             "spatial/t0/camera/L2/c+1",
-            "spatial/t0/clean/L1/c00",
-            "spatial/t0/clean/i50",
-            "spatial/t0/clean/L0/c50",
+            "spatial/t0/nominal/L1/c00",
+            "spatial/t0/nominal/i50",
+            "spatial/t0/nominal/L0/c50",
             "spatial/t0/camera/r0/c00",
             "spatial/t10/camera/L2/c00",
             "spatial/t0/camera/L2/c00/r1",
