@@ -1,10 +1,10 @@
-//! Export of committed results in the reference's row format: one JSON object per line, ordered by
+//! Export of committed results with the reference's columns: one JSON object per line, ordered by
 //! rollout id, then replicate.
 
 use std::sync::Arc;
 
-use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use benchmark::{Condition, Execution, Level, ManifestRow, RolloutId, Suite};
+use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};

@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use benchmark::{Design, DesignVersion, ManifestRow, manifest};
+use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};
@@ -49,7 +49,7 @@ pub(super) struct ExpandArguments {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
-    // Accepts the name that the released files use.
+    // The reference's name.
     #[value(alias = "clean")]
     Nominal,
     Eval,

@@ -123,10 +123,12 @@ pub enum Difference {
 
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Self::OnlyLeft(id) | Self::OnlyRight(id) | Self::Value { id, .. }) = self;
+        let id = id.published();
         match self {
-            Self::OnlyLeft(id) => write!(f, "{id}: only in the first manifest"),
-            Self::OnlyRight(id) => write!(f, "{id}: only in the second manifest"),
-            Self::Value { id, column, left, right } => {
+            Self::OnlyLeft(_) => write!(f, "{id}: only in the first manifest"),
+            Self::OnlyRight(_) => write!(f, "{id}: only in the second manifest"),
+            Self::Value { column, left, right, .. } => {
                 write!(f, "{id}: {column} is {left} in the first manifest, {right} in the second")
             }
         }

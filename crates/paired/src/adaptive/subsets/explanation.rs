@@ -21,8 +21,8 @@
 //! Outcomes need not be monotone: camera and robot may fail while camera, robot and
 //! sensor succeed. Such a pair of subsets is reported as [`NonMonotone`].
 
-use benchmark::AxisSet;
 use crate::Transition;
+use benchmark::AxisSet;
 use serde::{Deserialize, Serialize};
 
 use super::evidence::Verdict;
@@ -89,7 +89,7 @@ pub struct NonMonotone {
 /// Reason why there is nothing to explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
-    #[error("an axis alone or all axes together have no outcome")]
+    #[error("the rollout of an axis alone or the simultaneous one has no outcome")]
     Incomplete,
     #[error("simultaneous perturbation changes nothing: the rollout {}", .0.name())]
     Unchanged(Transition),
