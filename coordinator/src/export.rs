@@ -1,4 +1,4 @@
-//! Export of committed results in the reference's row format: one JSON object per line, ordered by
+//! Export of committed results with the reference's columns: one JSON object per line, ordered by
 //! rollout id, then replicate.
 
 use std::sync::Arc;

@@ -15,7 +15,7 @@ path, policy, endpoint = sys.argv[1:]
 rows = [json.loads(line) for line in Path(path).read_text().splitlines()]
 client = Client()
 spec = {"name": "solved", "policy": {"name": policy, "endpoint": endpoint}}
-campaign = client.create(spec, rows=[row for row in rows if row["axis"] == "clean"])
+campaign = client.create(spec, rows=[row for row in rows if row["config"] is None])
 for status in campaign.follow():
     print(status.committed, "of", status.total)
 results = campaign.results()

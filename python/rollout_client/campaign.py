@@ -66,7 +66,7 @@ class Campaign:
 
     def results(self) -> pd.DataFrame:
         """Returns a row per committed rollout, sorted by rollout id and replicate. `axis` and
-        `level` are the condition: `nominal` and `L0` (nominal), axes, `simultaneous` (all axes), or
+        `level` are the condition: `nominal` and `L0`, axes, `simultaneous` (all axes), or
         `variant` and `L0` (of LIBERO's family or a suite file). `config` is missing for nominal
         rollouts and variants, and only variants have `protocol` and `prompt`. Only rollouts with a
         displaced robot have `ik_res_mm`, the residual of the inverse kinematics, mm, and only

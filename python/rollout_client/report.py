@@ -21,8 +21,6 @@ from .program import Program
 AXES = ("camera", "lighting", "robot", "sensor", "actuation", "language")
 #: Paired measures that have a 95 % interval.
 INTERVALS = ("d", "i", "r_e", "r_c", "r_d")
-#: Names of conditions in rollout ids: without perturbation, and with all axes perturbed at once.
-NOMINAL, SIMULTANEOUS = "nominal", "simultaneous"
 
 SUCCESS = {
     **of(TEXT, "policy level condition"), **of(COUNT, "successes n"), **of(NUMBER, "rate"),
@@ -109,8 +107,9 @@ class Comparison:
     warnings: tuple[str, ...]
     #: Warnings about one policy, each after its label.
     notes: tuple[str, ...]
-    #: A row per level and condition (`nominal` at L0, each axis, `simultaneous`). `difference_worst`
-    #: and `difference_best` bound the difference for all possible outcomes of quarantined rollouts.
+    #: A row per level and condition (`nominal` at L0, each axis, `simultaneous`).
+    #: `difference_worst` and `difference_best` bound the difference for all possible outcomes of
+    #: quarantined rollouts.
     cells: pd.DataFrame = field(repr=False)
     #: Rollouts that are not compared, because they differed between the two policies, by reason.
     unpaired: Mapping[str, tuple[str, ...]]
@@ -177,12 +176,12 @@ def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
         policy = subject["label"]
         if nominal := subject["nominal"]:
             counts = _counts(nominal["count"], nominal["gap"])
-            yield {"policy": policy, "level": "L0", "condition": NOMINAL, **counts}
+            yield {"policy": policy, "level": "L0", "condition": "nominal", **counts}
         for cell in subject["cells"]:
             gaps = cell["completeness"]["gaps"]
             conditions = {axis: alone["count"] for axis, alone in cell["alone"].items()}
             if cell["simultaneous"] is not None:
-                conditions[SIMULTANEOUS] = cell["simultaneous"]
+                conditions["simultaneous"] = cell["simultaneous"]
             for condition, count in conditions.items():
                 counts = _counts(count, gaps.get(condition))
                 yield {"policy": policy, "level": cell["level"], "condition": condition, **counts}

@@ -1,4 +1,4 @@
-//! `coordinator export`: committed results as result rows in the reference's format.
+//! `coordinator export`: committed results as rows with the reference's columns.
 
 use std::io::{BufWriter, Write};
 use std::path::PathBuf;
@@ -26,7 +26,7 @@ Examples:
 pub(super) struct ExportArguments {
     /// Name of the campaign.
     campaign: String,
-    /// `jsonl`, the reference's result rows; or `parquet`, the same rows as a table, with
+    /// `jsonl`, rows with the reference's columns; or `parquet`, the same rows as a table, with
     /// --output. For a row per configuration there is `coordinator report CAMPAIGN --table`.
     #[arg(long, value_parser = format)]
     format: Format,

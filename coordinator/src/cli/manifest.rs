@@ -49,7 +49,7 @@ pub(super) struct ExpandArguments {
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum Split {
-    // Accepts the name that the released files use.
+    // The reference's name.
     #[value(alias = "clean")]
     Nominal,
     Eval,

@@ -170,6 +170,48 @@ async fn an_archive_whose_times_lie_days_ahead_is_refused() {
     check_unchanged(&target, &before, &file).await;
 }
 
+/// Rewrites an archive as earlier releases wrote it, with the reference's names of conditions.
+async fn with_published_names(archive: &Path) {
+    let published = "UPDATE job SET manifest_row = replace(replace(replace(replace(manifest_row,
+                '/nominal/', '/clean/'), '/simultaneous/', '/combination/'),
+                '\"nominal\"', '\"clean\"'), '\"simultaneous\"', '\"combination\"');
+         UPDATE job SET rollout_id = manifest_row ->> 'rollout_id'";
+    alter(archive, archive, published).await;
+    let mut members = members(archive);
+    for (name, bytes) in &mut members {
+        if ["provenance.json", "report.json"].contains(&name.as_str()) {
+            let text = String::from_utf8(std::mem::take(bytes)).expect("JSON");
+            let text = text.replace("\"simultaneous\": {", "\"combination\": {");
+            let text = text.replace("nominal_relative_loss", "clean_relative_loss");
+            let text = text.replace("/nominal/", "/clean/");
+            *bytes = text.replace("/simultaneous/", "/combination/").into_bytes();
+        }
+    }
+    write(archive, &members, true);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn archives_with_the_references_names_are_imported_and_continue() {
+    let mut source = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
+    source.run(4, "").await;
+    let half = source.archive("moved");
+    with_published_names(&half).await;
+    let mut target = Bench::empty().await;
+    target.import(&half);
+    target.assert_invariants().await;
+    for bench in [&mut source, &mut target] {
+        bench.run(64, "").await;
+    }
+    for command in [&["report", "moved", "--json"][..], &["export", "moved", "--format", "jsonl"]] {
+        assert_eq!(target.succeed(command), source.succeed(command));
+    }
+    source.begin(&["thresholds", "moved", "--create"]).await;
+    let search = source.archive("moved-thresholds");
+    with_published_names(&search).await;
+    target.import(&search);
+    target.assert_invariants().await;
+}
+
 /// The step budgets of derived rollouts must equal those of the source campaign's rollouts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused() {

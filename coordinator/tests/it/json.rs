@@ -141,11 +141,11 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     assert_eq!(ids(&["--level", "L2"]).len(), 0);
     let camera_ids = ids(&["--condition", "camera", "--task", "libero_object/0"]);
     assert_eq!(camera_ids, ["object/t0/camera/L1/c00"]);
-    for (name, id) in [("nominal", "nominal"), ("simultaneous", "simultaneous")] {
+    for (name, published) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let listed = ids(&["--condition", name]);
         assert_eq!(listed.len(), 2);
-        assert!(listed.iter().all(|rollout| rollout.contains(id)), "{listed:?}");
-        assert_eq!(listed, ids(&["--condition", id]));
+        assert!(listed.iter().all(|rollout| rollout.contains(name)), "{listed:?}");
+        assert_eq!(listed, ids(&["--condition", published]));
     }
     for (flag, value) in [
         ("--outcome", "won"),

@@ -83,7 +83,6 @@ impl Bench {
         }
     }
 
-    /// Runs a command that must succeed. Returns its output.
     /// Runs a search until it has added rollouts. Returns the lease of one.
     pub(crate) async fn begin(&mut self, search: &[&str]) -> Lease {
         let mut command = Command::new(env!("CARGO_BIN_EXE_coordinator"));
@@ -95,6 +94,7 @@ impl Bench {
         claim.lease.expect("a rollout was added")
     }
 
+    /// Runs a command that must succeed. Returns its output.
     pub(crate) fn succeed(&self, arguments: &[&str]) -> String {
         succeed(self.serve.command(arguments))
     }

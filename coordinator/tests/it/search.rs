@@ -79,8 +79,10 @@ pub(crate) async fn complete_findings(
 pub(crate) fn assert_rows(serve: &Serve, name: &str, expected: (usize, &str)) {
     let exported = succeed(serve.command(&["export", name, "--format", "jsonl"]));
     let rows = exported.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
-    let id =
-        |row: Value| format!("{}#{}", row["rollout_id"].as_str().expect("an id"), row["replicate"]);
+    let id = |row: Value| {
+        let id: RolloutId = serde_json::from_value(row["rollout_id"].clone()).expect("an id");
+        format!("{}#{}", id.published(), row["replicate"])
+    };
     let mut rows: Vec<String> = rows.map(id).collect();
     rows.sort();
     let digest = hex::encode(&Sha256::digest(rows.join("\n"))[..8]);

@@ -11,6 +11,10 @@ use crate::names::{UnknownName, serde_as_text};
 /// Name of the condition of every rollout of LIBERO's family or of a suite file.
 const VARIANT: &str = "variant";
 
+/// The reference's names of two conditions, which are read everywhere and written in its formats.
+pub const PUBLISHED: [(Condition, &str); 2] =
+    [(Condition::Nominal, "clean"), (Condition::Simultaneous, "combination")];
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Condition {
     Nominal,
@@ -51,8 +55,7 @@ impl Condition {
         matches!(self, Self::Single(axis) if axis.def().acts_on == ActsOn::Answers)
     }
 
-    /// Returns the benchmark's published name, used in rollout ids and manifests and hashed into
-    /// seeds. The display name is [`Self::label`].
+    /// Returns the name, as in the paper.
     pub fn name(self) -> &'static str {
         match self {
             Self::Nominal => "nominal",
@@ -63,13 +66,10 @@ impl Condition {
         }
     }
 
-    /// Returns the display name, as in the paper: `nominal`, the axes, or `simultaneous`.
-    pub fn label(self) -> &'static str {
-        match self {
-            Self::Nominal => "nominal",
-            Self::Simultaneous => "simultaneous",
-            other => other.name(),
-        }
+    /// Returns the reference's name, which its manifests have and which is hashed into seeds.
+    pub fn published(self) -> &'static str {
+        let published = PUBLISHED.iter().find(|(condition, _)| *condition == self);
+        published.map_or(self.name(), |(_, name)| name)
     }
 }
 
@@ -82,11 +82,14 @@ impl fmt::Display for Condition {
 impl FromStr for Condition {
     type Err = UnknownName;
 
-    /// Parses the paper's name or the published name.
+    /// Parses the paper's name or the reference's.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
+        if let Some((condition, _)) = PUBLISHED.iter().find(|(_, name)| *name == text) {
+            return Ok(*condition);
+        }
         match text {
-            "nominal" | "clean" => Ok(Self::Nominal),
-            "simultaneous" | "combination" => Ok(Self::Simultaneous),
+            "nominal" => Ok(Self::Nominal),
+            "simultaneous" => Ok(Self::Simultaneous),
             VARIANT => Ok(Self::Variant),
             axes => match (axes.parse().map(Self::Single), axes.parse()) {
                 (Ok(single), _) => Ok(single),
@@ -158,8 +161,8 @@ mod tests {
             conditions.iter().map(|condition| condition.name()).collect();
         assert_eq!(distinct.len(), 64);
         assert!(distinct.contains("camera+robot"));
-        for &condition in &conditions {
-            assert_eq!(condition.name().parse(), Ok(condition));
+        for (condition, published) in PUBLISHED {
+            assert_eq!((published.parse(), condition.published()), (Ok(condition), published));
         }
         let unknown = "sim".parse::<Condition>().expect_err("no condition").to_string();
         assert!(unknown.contains("nominal, simultaneous, camera"), "{unknown}");

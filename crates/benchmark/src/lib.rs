@@ -54,7 +54,7 @@ pub use axis::{AXES, ActsOn, Axis, AxisDef, Radii};
 pub use axis_set::AxisSet;
 pub use benchmark::Benchmark;
 pub use campaign::{CampaignSpec, Explanation, PolicyRoute, Purpose, Record, Rollouts};
-pub use condition::{Condition, Realisation};
+pub use condition::{Condition, PUBLISHED, Realisation};
 pub use design::{Design, DesignError, Nominal, PLACEBO_RADII, Placebo, select_tasks};
 pub use design_version::DesignVersion;
 pub use directions::{Directions, MAX_CONFIGS};

@@ -63,11 +63,11 @@ pub fn check(rows: &[ManifestRow]) -> Result<(), ManifestErrors> {
     checker.finish(rows.len())
 }
 
+/// Returns rows as a manifest, with the reference's names.
 pub fn to_text<'a>(rows: impl IntoIterator<Item = &'a ManifestRow>) -> String {
     let mut text = String::new();
     for row in rows {
-        let json = serde_json::to_string(row).expect("a row of text and numbers serialises");
-        text.push_str(&json);
+        text.push_str(&row.published());
         text.push('\n');
     }
     text
@@ -123,10 +123,12 @@ pub enum Difference {
 
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Self::OnlyLeft(id) | Self::OnlyRight(id) | Self::Value { id, .. }) = self;
+        let id = id.published();
         match self {
-            Self::OnlyLeft(id) => write!(f, "{id}: only in the first manifest"),
-            Self::OnlyRight(id) => write!(f, "{id}: only in the second manifest"),
-            Self::Value { id, column, left, right } => {
+            Self::OnlyLeft(_) => write!(f, "{id}: only in the first manifest"),
+            Self::OnlyRight(_) => write!(f, "{id}: only in the second manifest"),
+            Self::Value { column, left, right, .. } => {
                 write!(f, "{id}: {column} is {left} in the first manifest, {right} in the second")
             }
         }

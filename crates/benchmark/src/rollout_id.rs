@@ -18,10 +18,9 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for ex
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
-/// The last number is the configuration. A clean rollout has an initial state instead,
-/// `spatial/t0/clean/i07`, as in the reference's files; the text must match the reference's,
-/// because seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
-/// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
+/// The last number is the configuration. A nominal rollout has an initial state instead,
+/// `spatial/t0/nominal/i07`. The parser also accepts `spatial/t0/nominal/L0/c07`, and the
+/// reference's names of conditions.
 ///
 /// A rollout of LIBERO's family has the benchmark, the benchmark's name of the change, and an
 /// initial state: `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`,
@@ -81,7 +80,7 @@ impl RolloutId {
         self.condition
     }
 
-    /// Returns the level of perturbation; L0 in clean rollouts, at the placebo level, and in
+    /// Returns the level of perturbation; L0 in nominal rollouts, at the placebo level, and in
     /// rollouts of LIBERO's family or of a suite file.
     pub const fn level(&self) -> Level {
         self.level
@@ -91,7 +90,7 @@ impl RolloutId {
         self.level == Level::L0 && has_config(self.condition)
     }
 
-    /// `None` for a clean rollout, and for a rollout of LIBERO's family or of a suite file.
+    /// `None` for a nominal rollout, and for a rollout of LIBERO's family or of a suite file.
     pub fn config(&self) -> Option<u16> {
         has_config(self.condition).then_some(self.number)
     }
@@ -114,22 +113,29 @@ impl RolloutId {
     pub const fn number(&self) -> u16 {
         self.number
     }
+
+    /// Returns the id as the reference writes it: its manifests have this text, and seeds are
+    /// derived from it.
+    pub fn published(&self) -> String {
+        self.text(self.condition.published())
+    }
+
+    fn text(&self, condition: &str) -> String {
+        let (suite, task) = (self.task.suite().short_name(), self.task.index());
+        let (level, number) = (self.level, self.number);
+        match self.variant {
+            Some(variant) => format!("{suite}/t{task}/{variant}/i{number:02}"),
+            None if has_config(self.condition) => {
+                format!("{suite}/t{task}/{condition}/{level}/c{number:02}")
+            }
+            None => format!("{suite}/t{task}/{condition}/i{number:02}"),
+        }
+    }
 }
 
 impl fmt::Display for RolloutId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (suite, task) = (self.task.suite().short_name(), self.task.index());
-        let (condition, number) = (self.condition, self.number);
-        if let Some(variant) = self.variant {
-            return write!(f, "{suite}/t{task}/{variant}/i{number:02}");
-        }
-        match condition {
-            Condition::Nominal => write!(f, "{suite}/t{task}/{condition}/i{number:02}"),
-            _ => {
-                let level = self.level;
-                write!(f, "{suite}/t{task}/{condition}/{level}/c{number:02}")
-            }
-        }
+        f.write_str(&self.text(self.condition.name()))
     }
 }
 
@@ -157,7 +163,9 @@ impl FromStr for RolloutId {
                 .ok_or_else(|| unknown(text));
         }
         let (condition, level, number) = match rest {
-            ["clean" | "nominal", state] => (Condition::Nominal, Level::L0, number(state, "i")),
+            [condition, state] if condition.parse() == Ok(Condition::Nominal) => {
+                (Condition::Nominal, Level::L0, number(state, "i"))
+            }
             [condition, level, config] => (condition.parse()?, level.parse()?, number(config, "c")),
             _ => return Err(unknown(text)),
         };
@@ -219,16 +227,14 @@ mod tests {
         check("goal/t9/robot/r4.0/c1", "goal/t9/robot/L2/c01");
         check("goal/t9/clean/i49", "goal/t9/nominal/i49");
         check("spatial/t0/clean/L0/c07", "spatial/t0/nominal/i07");
-        check("spatial/t0/nominal/i07", "spatial/t0/nominal/i07");
         check("spatial/t0/camera/L0/c03", "spatial/t0/camera/L0/c03");
-        check("long/t5/simultaneous/L3/c08", "long/t5/simultaneous/L3/c08");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
         assert_eq!((id.level(), id.config()), (Level::L3, Some(8)));
         let is_placebo = |text: &str| text.parse::<RolloutId>().expect("an id").is_placebo();
         assert!(is_placebo("spatial/t0/language/L0/c03"));
-        assert!(!is_placebo("spatial/t0/clean/i03") && !is_placebo("spatial/t0/language/L1/c03"));
+        assert!(!is_placebo("spatial/t0/nominal/i03") && !is_placebo("spatial/t0/language/L1/c03"));
     }
 
     #[test]
@@ -256,7 +262,7 @@ mod tests {
             !name.is_unperturbed() && ids[4].variant().is_some_and(|name| name.is_unperturbed())
         );
         assert!(ids.is_sorted());
-        let nominal: RolloutId = "goal/t8/clean/i00".parse().expect("an id");
+        let nominal: RolloutId = "goal/t8/nominal/i00".parse().expect("an id");
         assert!(!ids.contains(&nominal) && nominal.variant().is_none());
     }
 
@@ -279,16 +285,16 @@ mod tests {
             "own/t1/own:unperturbed/i00",
             "own/t1/plus:noise_30/i00",
             "goal/t1/own:libero_90/i00",
-            "own/t1/clean/i00",
+            "own/t1/nominal/i00",
             "own/t1/camera/L2/c00",
             "",
             "spatial",
             "spatial/t0/camera/L2",
             "spatial/t0/camera/L2/00",
             "spatial/t0/camera/L2/c+1",
-            "spatial/t0/clean/L1/c00",
-            "spatial/t0/clean/i50",
-            "spatial/t0/clean/L0/c50",
+            "spatial/t0/nominal/L1/c00",
+            "spatial/t0/nominal/i50",
+            "spatial/t0/nominal/L0/c50",
             "spatial/t0/camera/r0/c00",
             "spatial/t10/camera/L2/c00",
             "spatial/t0/camera/L2/c00/r1",

@@ -28,7 +28,7 @@ pub const MAX_ROWS: usize = 250_000;
 ///
 /// Serialises to the row format of the reference implementation, whose columns repeat suite, task,
 /// axis, level, configuration and split; when a row is parsed, these columns must agree with the
-/// id.
+/// id. [`Self::published`] also has the reference's names.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatRow", into = "FlatRow")]
 pub struct ManifestRow {
@@ -78,6 +78,18 @@ impl ManifestRow {
             own: None,
             files: None,
         }
+    }
+
+    /// Returns the row as the reference writes it, JSON.
+    pub(crate) fn published(&self) -> String {
+        let condition = self.id.condition();
+        let row = FlatRow {
+            rollout_id: self.id.published(),
+            split: splits(condition)[1].to_owned(),
+            axis: condition.published().to_owned(),
+            ..self.clone().into()
+        };
+        serde_json::to_string(&row).expect("a row of text and numbers serialises")
     }
 
     /// A row of the latency axis keeps its own model.
@@ -138,6 +150,8 @@ impl ManifestRow {
 
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
+    #[error(transparent)]
+    Name(#[from] UnknownName),
     #[error("read row {id}: `{column}` is {given}, but the id says {expected}")]
     Contradiction { id: RolloutId, column: &'static str, given: String, expected: String },
     #[error("read row {id}: `init_id` is {given}, valid are 0 to 49")]
@@ -186,11 +200,11 @@ pub enum RowError {
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FlatRow {
-    rollout_id: RolloutId,
+    rollout_id: String,
     split: String,
     suite: String,
     task_id: u8,
-    axis: Condition,
+    axis: String,
     level: Level,
     config: Option<u16>,
     init_slot: u16,
@@ -215,21 +229,23 @@ struct FlatRow {
     perturb: Map<String, Value>,
 }
 
-/// Returns the reference's value of the column `split`: `nominal` for nominal rollouts, `eval` for
-/// all others.
-fn split(condition: Condition) -> &'static str {
-    if condition == Condition::Nominal { "nominal" } else { "eval" }
+/// Returns the value of the column `split`, and the reference's.
+fn splits(condition: Condition) -> [&'static str; 2] {
+    match condition {
+        Condition::Nominal => [condition.name(), condition.published()],
+        _ => ["eval"; 2],
+    }
 }
 
 impl From<ManifestRow> for FlatRow {
     fn from(row: ManifestRow) -> Self {
         let id = row.id;
         Self {
-            rollout_id: id,
-            split: split(id.condition()).to_owned(),
+            rollout_id: id.to_string(),
+            split: splits(id.condition())[0].to_owned(),
             suite: id.task().suite().to_string(),
             task_id: id.task().index(),
-            axis: id.condition(),
+            axis: id.condition().to_string(),
             level: id.level(),
             config: id.config(),
             init_slot: row.init_slot,
@@ -253,12 +269,15 @@ impl TryFrom<FlatRow> for ManifestRow {
     type Error = RowError;
 
     fn try_from(flat: FlatRow) -> Result<Self, RowError> {
-        let id = flat.rollout_id;
+        let id: RolloutId = flat.rollout_id.parse()?;
         let condition = id.condition();
-        check_column(id, "split", flat.split.as_str(), split(condition))?;
+        let [split, published] = splits(condition);
+        if flat.split != published {
+            check_column(id, "split", flat.split.as_str(), split)?;
+        }
         check_column(id, "suite", flat.suite, id.task().suite().to_string())?;
         check_column(id, "task_id", flat.task_id, id.task().index())?;
-        check_column(id, "axis", flat.axis, condition)?;
+        check_column(id, "axis", flat.axis.parse()?, condition)?;
         check_column(id, "level", flat.level, id.level())?;
         match flat.config {
             Some(given) => check_column(id, "config", given, id.number())?,

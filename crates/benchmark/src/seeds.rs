@@ -5,9 +5,9 @@ use crate::axis::Axis;
 use crate::condition::Condition;
 use crate::rollout_id::RolloutId;
 
-/// Returns the seed of a rollout: the CRC-32 (zlib) of the id's UTF-8 bytes.
+/// Returns the seed of a rollout: the CRC-32 (zlib) of its published id.
 pub fn rollout_seed(id: &RolloutId) -> u32 {
-    crc32fast::hash(id.to_string().as_bytes())
+    crc32fast::hash(id.published().as_bytes())
 }
 
 /// Returns the seed passed to the policy at Reset: for replicate 0 the rollout's seed, for
@@ -22,7 +22,7 @@ pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
     let id = &id;
     u64::from(match replicate {
         0 => rollout_seed(id),
-        k => crc32fast::hash(format!("{id}#r{k}").as_bytes()),
+        k => crc32fast::hash(format!("{}#r{k}", id.published()).as_bytes()),
     })
 }
 

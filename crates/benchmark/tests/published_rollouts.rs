@@ -23,7 +23,7 @@ fn the_published_rollouts_are_those_of_the_design() {
         let id = published["rollout_id"].as_str().expect("an id");
         let row = rows.remove(&id.parse().expect("an id"));
         let row = row.unwrap_or_else(|| panic!("{id} is not in the design, or published twice"));
-        assert_eq!(row.id.to_string(), id);
+        assert_eq!(row.id.published(), id);
         assert_eq!(published["init_id"], row.init_id, "{id}");
         assert_eq!(published["config"], row.init_slot, "{id}");
     }

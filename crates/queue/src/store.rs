@@ -34,6 +34,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
+use benchmark::PUBLISHED;
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{
@@ -240,6 +241,7 @@ impl Store {
             known: newest_known_schema(),
             source,
         })?;
+        rename_conditions(&writer).await.map_err(database)?;
         let readers = pool_options(READERS)
             .connect_with(options.create_if_missing(false))
             .await
@@ -394,6 +396,23 @@ fn make_private(database: &Path) -> io::Result<()> {
             let private = Permissions::from_mode(mode & PRIVATE_MODE);
             let _ = std::fs::set_permissions(path, private);
         }
+    }
+    Ok(())
+}
+
+/// Renames the conditions in rows of releases that named them as the reference does.
+async fn rename_conditions(writer: &SqlitePool) -> Result<(), sqlx::Error> {
+    for (condition, published) in PUBLISHED {
+        sqlx::query(
+            "UPDATE job SET rollout_id = replace(rollout_id, '/' || ?1 || '/', '/' || ?2 || '/'),
+                 manifest_row = replace(replace(manifest_row, '/' || ?1 || '/', '/' || ?2 || '/'),
+                     json_quote(?1), json_quote(?2))
+             WHERE id IN (SELECT id FROM job WHERE instr(rollout_id, '/' || ?1 || '/') > 0)",
+        )
+        .bind(published)
+        .bind(condition.name())
+        .execute(writer)
+        .await?;
     }
     Ok(())
 }

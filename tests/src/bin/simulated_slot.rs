@@ -1,16 +1,11 @@
 //! A simulated slot: handles a slot's commands, sends its events and queries the real
-//! policy over the real protocol, but runs no physics. By default, its outcomes depend only
+//! policy over the real protocol, but runs no physics. Its outcomes depend only
 //! on the rollout's id and the policy's actions, so that a campaign must give the same
 //! results under any faults. For tests of faults and of the live page, which do not
 //! need MuJoCo; its results are meaningless.
-//!
-//! The environment variable `SIMULATED_SLOT_OUTCOMES` names a file of result rows
-//! whose outcomes the slot repeats; `SIMULATED_SLOT_STEP_MILLIS` is the duration of a
-//! step.
 
 #![forbid(unsafe_code)]
 
-use std::collections::HashMap;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -31,8 +26,8 @@ use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 /// Number of control steps that are played. The result reports another number, from the hash of the
 /// rollout's id and the policy's actions.
 const STEPS: u32 = 12;
-/// Default duration of a control step, milliseconds.
-const STEP_MILLIS: u64 = 12;
+/// Duration of a control step.
+const STEP: Duration = Duration::from_millis(12);
 /// Name of the simulated renderer. Its digest serves as the slot's fingerprint.
 const RENDERER: &str = "simulated";
 /// Number of control steps per query of the policy.
@@ -44,7 +39,6 @@ fn main() {
     let parent = Parent::connect().expect("a parent process");
     let abandoned = Arc::default();
     let assignments = listen(&parent, Arc::clone(&abandoned));
-    let script = Script::from_environment();
     send(
         &parent,
         &SlotEvent::Ready { renderer: RENDERER.to_owned(), fingerprint: digest(RENDERER) },
@@ -53,47 +47,17 @@ fn main() {
         let attempt = assignment.attempt;
         let send_event = |event| send(&parent, &SlotEvent::Rollout { attempt, event });
         let is_abandoned = || *abandoned.lock().expect("unpoisoned") == Some(attempt);
-        send_event(rollout(&assignment, &script, &send_event, &is_abandoned));
-    }
-}
-
-/// Settings from environment variables.
-struct Script {
-    /// Outcomes to repeat, by rollout id.
-    outcomes: HashMap<String, bool>,
-    step: Duration,
-}
-
-impl Script {
-    fn from_environment() -> Self {
-        #[derive(serde::Deserialize)]
-        struct Row {
-            rollout_id: String,
-            success: bool,
-        }
-        let rows = std::env::var_os("SIMULATED_SLOT_OUTCOMES").map(|path| {
-            let text = std::fs::read_to_string(path).expect("a file of result rows");
-            let row = |line| serde_json::from_str::<Row>(line).expect("a result row");
-            let rows = text.lines().map(row);
-            rows.map(|row| (row.rollout_id, row.success)).collect()
-        });
-        let millis = std::env::var("SIMULATED_SLOT_STEP_MILLIS").ok();
-        let millis = millis.map(|millis| millis.parse().expect("milliseconds"));
-        Self {
-            outcomes: rows.unwrap_or_default(),
-            step: Duration::from_millis(millis.unwrap_or(STEP_MILLIS)),
-        }
+        send_event(rollout(&assignment, &send_event, &is_abandoned));
     }
 }
 
 /// Plays a rollout to its end, and returns its last event.
 fn rollout(
     assignment: &Assignment,
-    script: &Script,
     send_event: &dyn Fn(RolloutEvent),
     is_abandoned: &dyn Fn() -> bool,
 ) -> RolloutEvent {
-    match play(assignment, script, send_event, is_abandoned) {
+    match play(assignment, send_event, is_abandoned) {
         Ok(Some(finished)) => RolloutEvent::Finished(Box::new(finished)),
         Ok(None) => RolloutEvent::Abandoned,
         Err(error) => RolloutEvent::Failed(Failure {
@@ -106,7 +70,6 @@ fn rollout(
 /// Plays a rollout to its end; `None` if it was abandoned.
 fn play(
     assignment: &Assignment,
-    script: &Script,
     send_event: &dyn Fn(RolloutEvent),
     is_abandoned: &dyn Fn() -> bool,
 ) -> Result<Option<Finished>, PolicyError> {
@@ -119,7 +82,7 @@ fn play(
     policy.reset(session, session.suite, &row.instruction, assignment.policy_seed)?;
     let mut parts = Parts::default();
     let mut hash = Sha256::new();
-    hash.update(row.id.to_string());
+    hash.update(row.id.published());
     for step in 0..STEPS {
         if is_abandoned() {
             return Ok(None);
@@ -134,16 +97,15 @@ fn play(
                 hash.update(number.to_le_bytes());
             }
         }
-        thread::sleep(script.step);
+        thread::sleep(STEP);
         // The sleep counts as physics.
-        parts.physics_secs += script.step.as_secs_f64();
+        parts.physics_secs += STEP.as_secs_f64();
         send_event(RolloutEvent::Progress(row.settle_steps + step + 1));
     }
     policy.end(session);
     let hash = hash.finalize();
-    let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;
-    let success = repeated.map_or(hash[0].is_multiple_of(2), |success| *success);
+    let success = hash[0].is_multiple_of(2);
     Ok(Some(Finished {
         result: RolloutResult {
             success,

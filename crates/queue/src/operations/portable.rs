@@ -441,21 +441,23 @@ fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     Ok(name.doing("read the name of the source campaign")?)
 }
 
+/// Returns the SHA-256 of a campaign's outcomes, by published id: archives store it.
 async fn outcomes_digest(
     tx: &mut sqlx::SqliteConnection,
     campaign: &Campaign,
 ) -> Result<String, StoreError> {
-    let mut digest = Sha256::new();
+    let mut lines = BTreeMap::new();
     for row in outcomes::of_campaign(tx, campaign.id).await? {
+        let id = row.record().map_err(undecodable).doing("read a rollout id")?.id.published();
         let outcome = match row.outcome() {
             Outcome::Success => "success",
             Outcome::Failure => "failure",
             Outcome::Quarantined => "quarantined",
             Outcome::Missing => "open",
         };
-        digest.update(format!("{} {} {outcome}\n", row.rollout_id, row.replicate));
+        lines.insert((id.clone(), row.replicate), format!("{id} {} {outcome}\n", row.replicate));
     }
-    Ok(hex::encode(digest.finalize()))
+    Ok(hex::encode(Sha256::digest(lines.into_values().collect::<String>())))
 }
 
 async fn move_films(from: &Path, films: &[FilmFile], to: &Path) -> Result<(), AdoptError> {

@@ -89,7 +89,7 @@ pub struct NonMonotone {
 /// Reason why there is nothing to explain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Unexplained {
-    #[error("an axis alone or all axes together have no outcome")]
+    #[error("the rollout of an axis alone or the simultaneous one has no outcome")]
     Incomplete,
     #[error("simultaneous perturbation changes nothing: the rollout {}", .0.name())]
     Unchanged(Transition),
