@@ -60,7 +60,7 @@ fn a_restarted_policy_delays_only_its_own_campaign() {
     campaigns.wait_for_commits("killed", None);
     for name in names {
         assert_eq!(campaigns.outcomes(name).len(), ROLLOUTS, "{name}");
-        for row in campaigns.succeed(&["jobs", "list", name]).lines() {
+        for row in campaigns.succeed(&["jobs", name]).lines() {
             assert!(!row.contains("charged") && !row.contains("quarantined"), "{row}");
         }
     }

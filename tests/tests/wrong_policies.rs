@@ -70,7 +70,7 @@ fn actions_of_1e9_become_no_outcome() {
         return;
     };
     let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
-    let show = ["jobs", "show", "invalid", "object/t0/camera/L3/c00"];
+    let show = ["jobs", "invalid", "object/t0/camera/L3/c00"];
     let named = "component 0 of action 0 is 1e9, and actions lie within -1..1";
     wait_for(&campaigns, &show, named);
     assert!(campaigns.outcomes("invalid").is_empty());
@@ -92,7 +92,7 @@ fn a_policy_that_answers_nan_delays_no_other_campaign() {
     assert_eq!(campaigns.outcomes("unaffected").len(), 7);
     assert!(campaigns.outcomes("invalid").is_empty());
     // The same worker retries the policy until its rollouts are quarantined.
-    let list = ["jobs", "list", "invalid", "--state", "quarantined"];
+    let list = ["jobs", "invalid", "--state", "quarantined"];
     wait_for(&campaigns, &list, "object/t0/");
     let workers = campaigns.succeed(&["workers"]);
     assert!(workers.contains("slots busy"), "{workers}");

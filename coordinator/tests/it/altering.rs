@@ -220,18 +220,19 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     run(&CREATE, 0, "keeps priority -3");
     let mut worker = serve.worker("a").await;
     worker.claim_one().await;
-    let set = |name, value| vec!["campaign", name, "demo", value];
-    run(&set("set-priority", "-100"), 0, "demo has priority -100");
-    run(&set("set-priority", "101"), 2, "-100 to 100");
-    run(&set("set-endpoint", "localhost"), 2, "http://");
-    run(&set("set-endpoint", NEW_ENDPOINT), 0, "1 rollout taken back");
+    let set = |flag, value| vec!["campaign", "set", "demo", flag, value];
+    run(&set("--priority", "-100"), 0, "demo has priority -100");
+    run(&set("--priority", "101"), 2, "-100 to 100");
+    run(&set("--endpoint", "localhost"), 2, "http://");
+    run(&set("--endpoint", NEW_ENDPOINT), 0, "1 rollout taken back");
+    run(&["campaign", "set", "demo"], 2, "--priority");
     run(&["campaign", "status", "demo"], 0, NEW_ENDPOINT);
     let new_url = "http://127.0.0.1:50053";
-    let move_from = |from| ["campaign", "move-endpoint", from, new_url];
+    let move_from = |from| ["campaign", "set", "--at", from, "--endpoint", new_url];
     run(&move_from("http://127.0.0.1:1"), 0, "no unfinished campaign measures");
     run(&move_from(NEW_ENDPOINT), 0, &format!("demo measures expert at {new_url}"));
     run(&["campaign", "status", "demo"], 0, new_url);
-    run(&set("rename", "final"), 0, "demo is now called final");
+    run(&set("--name", "final"), 0, "demo is now called final");
     run(&["campaign", "status", "demo"], 1, "is called `final`");
     run(&["campaign", "status", "final"], 0, "final ░");
 }

@@ -161,7 +161,7 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
     // Six transitions with six axes: 56 subsets each.
     let words = text(&output.stdout);
     assert!(words.contains("at most 336 rollouts for 6 transitions"), "{words}");
-    let campaigns = serve.command(&["campaign", "list", "--json"]);
+    let campaigns = serve.command(&["campaign", "status", "--json"]);
     let campaigns: Value = serde_json::from_slice(&campaigns.stdout).expect("JSON");
     assert_eq!(campaigns["campaigns"].as_array().map(Vec::len), Some(1));
 }

@@ -1,4 +1,4 @@
-//! Scripts that `coordinator launch slurm` shows and writes, and arguments that it refuses. The
+//! Scripts that `coordinator slurm` shows and writes, and arguments that it refuses. The
 //! package `tests` runs the scripts on a real cluster.
 
 use std::path::Path;
@@ -21,7 +21,7 @@ fn programs() -> tempfile::TempDir {
 
 fn launch(programs: &Path, arguments: &[&str]) -> Output {
     let programs = programs.to_str().expect("UTF-8");
-    let common = ["launch", "slurm", "--assets", "primitives", "--programs", programs];
+    let common = ["slurm", "--assets", "primitives", "--programs", programs];
     coordinator(&[&common, arguments].concat())
 }
 

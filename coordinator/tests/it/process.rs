@@ -332,7 +332,7 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
     let create = ["campaign", "create", "--spec", path];
     assert_eq!(succeed(serve.command(&create)), "campaign filed created: 4 rollouts\n");
     serve.run(&create, 0, &["exists already"]);
-    let list = succeed(serve.command(&["campaign", "list"]));
+    let list = succeed(serve.command(&["campaign", "status"]));
     assert!(list.starts_with("filed ░"), "{list}");
     // A flag would be ignored.
     serve.run(&[&create[..], &["--levels", "L3"]].concat(), 2, &[]);
@@ -346,7 +346,7 @@ fn an_unreachable_coordinator_is_named_after_retries() {
     let url = format!("http://{}", listener.local_addr().expect("an address"));
     drop(listener);
     let stderr =
-        &fail(coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]), 1);
+        &fail(coordinator(&["campaign", "status", "--connect", &url, "--retry-secs", "2"]), 1);
     assert!(stderr.contains("trying again for 2 s"), "{stderr}");
 }
 
@@ -393,14 +393,14 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     pool.close().await;
     let rollout = crate::harness::rollout_id(&lease);
     for command in [
-        &["jobs", "show", "hostile", &rollout][..],
-        &["jobs", "list", "hostile"],
+        &["jobs", "hostile", &rollout][..],
+        &["jobs", "hostile"],
         &["campaign", "status", "hostile"],
     ] {
         let output = &succeed(serve.command(command));
         assert!(!has_control_sequence(output), "{command:?}: {output:?}");
     }
-    let output = serve.command(&["jobs", "show", "hostile", &rollout]);
+    let output = serve.command(&["jobs", "hostile", &rollout]);
     assert!(text(&output.stdout).contains("all is well"));
 }
 
@@ -415,7 +415,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let create = [CREATE.as_slice(), &flags].concat();
     let printed = serve.command(&[create.as_slice(), &["--print-spec"]].concat());
     assert!(printed.status.success(), "{}", text(&printed.stderr));
-    let listed = serve.command(&["campaign", "list"]);
+    let listed = serve.command(&["campaign", "status"]);
     assert!(text(&listed.stdout).contains("no campaigns yet"));
     let spec = folder.path().join("spec.json");
     std::fs::write(&spec, &printed.stdout).expect("written");

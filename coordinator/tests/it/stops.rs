@@ -228,8 +228,8 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
         &["campaign", "resume", "early"][..],
         &["campaign", "pause", "early"],
         &["campaign", "cancel", "early"],
-        &["campaign", "set-endpoint", "early", "http://127.0.0.1:1"],
-        &["jobs", "retry", "early", "--all"],
+        &["campaign", "set", "early", "--endpoint", "http://127.0.0.1:1"],
+        &["jobs", "early", "--retry"],
     ] {
         let output = serve.command(arguments);
         let error = text(&output.stderr);

@@ -27,10 +27,10 @@ const CASES: [(&str, &[&str]); 14] = [
             "coordinator serve --data d --lease-secs 0",
             "coordinator serve --data d --min-free-mib x",
             "coordinator serve --data d --listen there",
-            "coordinator jobs list c --limit 0",
-            "coordinator campaign list --retry-secs=-1",
-            "coordinator campaign list --connect 127.0.0.1:9",
-            "coordinator campaign list --connect ftp://h:1",
+            "coordinator jobs c --limit 0",
+            "coordinator campaign status --retry-secs=-1",
+            "coordinator campaign status --connect 127.0.0.1:9",
+            "coordinator campaign status --connect ftp://h:1",
             "coordinator export c --format xml",
         ],
     ),
@@ -56,12 +56,12 @@ const CASES: [(&str, &[&str]); 14] = [
         &[
             "coordinator check missing",
             "coordinator check empty.jsonl",
-            "coordinator manifest check missing.jsonl",
-            "coordinator manifest check empty.jsonl",
-            "coordinator manifest check no-row.jsonl",
-            "coordinator manifest check no-json.jsonl",
-            "coordinator manifest expand --version v9",
-            "coordinator manifest expand --version v0.1 --output missing/manifest.jsonl",
+            "coordinator manifest missing.jsonl",
+            "coordinator manifest empty.jsonl",
+            "coordinator manifest no-row.jsonl",
+            "coordinator manifest no-json.jsonl",
+            "coordinator manifest --version v9",
+            "coordinator manifest --version v0.1 --output missing/manifest.jsonl",
             "coordinator report --from missing",
             "coordinator report --from no-row.jsonl",
             "coordinator report --from no-json.jsonl",
@@ -76,11 +76,11 @@ const CASES: [(&str, &[&str]); 14] = [
             "coordinator serve --data d --token-file readable-token",
             "coordinator serve --data d --tls-cert missing.pem --tls-key missing.pem",
             "coordinator serve --data d --tls-cert missing.pem",
-            "coordinator campaign list --connect {url} --retry-secs 0 --token-file readable-token",
-            "coordinator campaign list --connect {url} --retry-secs 0 --ca missing.pem",
+            "coordinator campaign status --connect {url} --retry-secs 0 --token-file readable-token",
+            "coordinator campaign status --connect {url} --retry-secs 0 --ca missing.pem",
         ],
     ),
-    ("coordinator-unreachable", &["coordinator campaign list --connect {url} --retry-secs 0"]),
+    ("coordinator-unreachable", &["coordinator campaign status --connect {url} --retry-secs 0"]),
     (
         "worker-values",
         &[
@@ -146,8 +146,8 @@ const CASES: [(&str, &[&str]); 14] = [
         ],
     ),
     ("coordinator-usage", &["coordinator", "coordinator serve", "coordinator --nonsense"]),
-    ("worker-usage", &["worker", "worker nonsense", "worker completions"]),
-    ("gateway-usage", &["policy-gateway", "policy-gateway completions no-shell"]),
+    ("worker-usage", &["worker", "worker nonsense"]),
+    ("gateway-usage", &["policy-gateway"]),
 ];
 
 fn files(folder: &Path) -> Vec<std::ffi::OsString> {
@@ -192,7 +192,7 @@ fn other_commands_ignore_the_variables_of_servers() {
     let variables = variables.map(|name| (format!("ROLLOUT_{name}"), "nonsense"));
     let variables = variables.each_ref().map(|(name, value)| (name.as_str(), *value));
     for name in PROGRAMS {
-        let text = session(name, &["completions", "bash"], &variables, folder.path());
+        let text = session(name, &["manual", "share"], &variables, folder.path());
         assert!(!text.contains("[exit code"), "{text}");
     }
 }

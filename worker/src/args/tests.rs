@@ -81,9 +81,10 @@ fn a_users_task_needs_initial_states_and_an_actor() {
 
 fn fetch(line: &str) -> Result<FetchArguments, clap::Error> {
     match parse(line)?.command {
-        Some(Command::Assets(AssetsArguments { command: AssetsCommand::Fetch(fetch), .. })) => {
-            Ok(*fetch)
-        }
+        Some(Command::Assets(AssetsArguments {
+            command: Some(AssetsCommand::Fetch(fetch)),
+            ..
+        })) => Ok(*fetch),
         other => panic!("{other:?}"),
     }
 }

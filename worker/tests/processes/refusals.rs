@@ -47,7 +47,7 @@ fn only_commands_that_call_a_coordinator_check_its_variable() {
         ("--assets primitives --sources /nonexistent", "COORDINATOR_URL"),
         ("film --assets primitives --sources /nonexistent", "COORDINATOR_URL"),
         ("slot --assets primitives --sources /nonexistent", "/nonexistent/robosuite"),
-        ("assets list --sources /nonexistent", "/nonexistent/robosuite"),
+        ("assets --sources /nonexistent", "/nonexistent/robosuite"),
         (
             "--connect http://127.0.0.1:9 --assets primitives --sources /nonexistent",
             "/nonexistent/robosuite",

@@ -1,4 +1,10 @@
-//! `coordinator launch slurm`.
+//! `coordinator slurm`: scripts with which Slurm runs workers and a policy server for a
+//! coordinator, filled in from the templates in `deploy/`.
+
+mod checked;
+mod scripts;
+mod template;
+mod time_limit;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -8,11 +14,11 @@ use clap::Args;
 use terminal::number;
 use transport::{Role, SecurityError, ServerArguments, Tokens, parse_endpoint};
 
-use super::super::command::{CommandError, failure, print, print_line, usage};
-use super::checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
-use super::scripts::{Script, submit, write};
-use super::template::{Values, fill, for_shell};
-use super::time_limit::TimeLimit;
+use super::command::{CommandError, failure, print, print_line, usage};
+use checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
+use scripts::{Script, submit, write};
+use template::{Values, fill, for_shell};
+use time_limit::TimeLimit;
 
 /// Asset packs selected by name; any other value of `--assets` is a folder.
 const PRIMITIVES: &str = "primitives";
@@ -20,24 +26,24 @@ const LIBERO: &str = "libero";
 
 /// File names and templates of the scripts.
 const COORDINATOR: (&str, &str) =
-    ("coordinator.sh", include_str!("../../../../deploy/slurm/coordinator.sh"));
+    ("coordinator.sh", include_str!("../../../deploy/slurm/coordinator.sh"));
 const GATEWAY: (&str, &str) =
-    ("gateway.sbatch", include_str!("../../../../deploy/slurm/gateway.sbatch"));
+    ("gateway.sbatch", include_str!("../../../deploy/slurm/gateway.sbatch"));
 const WORKERS: (&str, &str) =
-    ("workers.sbatch", include_str!("../../../../deploy/slurm/workers.sbatch"));
+    ("workers.sbatch", include_str!("../../../deploy/slurm/workers.sbatch"));
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
-  coordinator launch slurm --connect http://keeper:7411 --assets primitives
-  coordinator launch slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
+  coordinator slurm --connect http://keeper:7411 --assets primitives
+  coordinator slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
       --workers 16 --slots 8 --time 4:00:00 --into /shared/cluster --submit
-  coordinator launch slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
+  coordinator slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
       --policy pi05=grpc://127.0.0.1:5000 --gpus 1 --policy-server 'python serve.py'";
 
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
-pub(crate) struct SlurmArguments {
+pub(super) struct SlurmArguments {
     /// URL under which the nodes reach the coordinator: the name of the machine on
     /// which coordinator.sh will run, and a port.
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
