@@ -47,7 +47,7 @@ fn a_command_with_a_closed_pipe_reports_no_error() {
         &["workers"],
         &["report", "first"],
         &["report", "first", "--json"],
-        &["report", "first", "--from", examples],
+        &["report", "first", examples],
         &["export", "first", "--format", "jsonl"],
         &["backup", "--output", copy],
     ] {
