@@ -27,7 +27,6 @@ mod set;
 mod siblings;
 mod slurm;
 mod status;
-mod stopping;
 mod thresholds;
 mod up;
 mod variant_flags;
@@ -215,26 +214,6 @@ mod tests {
                 assert!(long.contains("\nConnection:\n"), "{words}: {long}");
                 assert!(!short.contains("--retry-secs"), "{words}: {short}");
             }
-        }
-    }
-
-    #[test]
-    fn the_largest_commands_have_three_examples_in_their_long_help_only() {
-        let program = Arguments::command();
-        for words in
-            ["campaign create", "jobs", "report", "explain", "thresholds", "export", "up", "slurm"]
-        {
-            let subcommand = |command: &clap::Command, word| command.find_subcommand(word).cloned();
-            let command = words
-                .split(' ')
-                .try_fold(program.clone(), |command, word| subcommand(&command, word));
-            let mut command = command.expect(words);
-            let long = command.render_long_help().to_string();
-            let (_, examples) = long.split_once("Examples:").expect(words);
-            let shown = examples.lines().filter(|line| line.trim().starts_with("coordinator "));
-            assert!(shown.count() >= 3, "{words}: {examples}");
-            let short = command.render_help().to_string();
-            assert!(!short.contains("Examples:"), "{words}: {short}");
         }
     }
 }

@@ -26,10 +26,10 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
+use super::forecast;
 use super::horizon::{self, Asks};
 use super::planning;
 use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
-use super::{forecast, stopping};
 
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
@@ -294,7 +294,6 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_stop(&spec, &campaign)?;
         print_execution(&spec, unknown.as_deref())?;
         print_line(&forecast::describe(&answer, &campaign.policy))?;
-        print_line(&forecast::describe_paper(&campaign))?;
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
@@ -370,11 +369,18 @@ fn print_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), Command
             "the campaign ends early once {rule} at every level; configurations run in the order \
              of seed {seed}, in rounds of {strata}"
         ))?;
-        for line in
-            stopping::explain_rule(rule, campaign.stoppable_configurations.unwrap_or_default())
-        {
-            print_line(&wrapped("  ", 4, &line))?;
-        }
+        let configurations =
+            counted(campaign.stoppable_configurations.unwrap_or_default() as u64, "configuration");
+        print_line(&wrapped(
+            "  ",
+            4,
+            &format!(
+                "the confidence is 95 % at each level, over all looks (evaluations of the rule) \
+                 together, and for these {configurations} only: other tasks, initial states and \
+                 directions may differ. A difference that ends a campaign is likely to be larger \
+                 at the last look than over the whole campaign"
+            ),
+        ))?;
     }
     Ok(())
 }

@@ -4,7 +4,6 @@
 mod checked;
 mod scripts;
 mod template;
-mod time_limit;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -18,7 +17,6 @@ use super::command::{CommandError, failure, print, print_line, usage};
 use checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
 use scripts::{Script, submit, write};
 use template::{Values, fill, for_shell};
-use time_limit::TimeLimit;
 
 /// Asset packs selected by name; any other value of `--assets` is a folder.
 const PRIMITIVES: &str = "primitives";
@@ -70,7 +68,7 @@ pub(super) struct SlurmArguments {
     /// Time limit of a job, as Slurm writes it: 4:00:00. Jobs that reach it are queued
     /// again. [default: the partition's]
     #[arg(long, value_name = "TIME")]
-    time: Option<TimeLimit>,
+    time: Option<String>,
     /// Number of seconds before its time limit at which a job is signalled to end; Slurm may send
     /// the signal up to a minute earlier.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 60,
@@ -202,7 +200,6 @@ impl SlurmArguments {
     }
 
     fn values(&self) -> Result<Values, CommandError> {
-        self.check_times()?;
         let (workers, gateway) = (&self.workers, &self.gateway);
         let mut values = Values::default();
         self.set_servers(&mut values)?;
@@ -215,7 +212,7 @@ impl SlurmArguments {
         values.set_all("gateway_partition", partition_of_gateway.or_else(|| partition.clone()));
         values.set_all("partition", partition);
         values.set_all("account", slurm_word("--account", self.account.as_ref())?);
-        values.set_all("time", self.time.as_ref().map(TimeLimit::to_string));
+        values.set_all("time", slurm_word("--time", self.time.as_ref())?);
         values.set("ahead_secs", self.ahead_secs);
 
         let assets = match workers.assets.as_str() {
@@ -338,18 +335,6 @@ impl SlurmArguments {
             )));
         }
         Ok(Some(file.to_owned()))
-    }
-
-    fn check_times(&self) -> Result<(), CommandError> {
-        let limit = self.time.as_ref().and_then(TimeLimit::secs);
-        match limit {
-            Some(limit) if limit <= self.ahead_secs.into() => Err(usage(anyhow!(
-                "use --time {limit} s: jobs are signalled to end {} s before this limit; give more \
-                 time, or lower --ahead-secs",
-                self.ahead_secs
-            ))),
-            _ => Ok(()),
-        }
     }
 
     fn programs_folder(&self) -> Result<PathBuf, CommandError> {

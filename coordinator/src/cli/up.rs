@@ -407,34 +407,3 @@ fn print_prefixed(name: &str, text: &str) {
     let name = name.strip_prefix("policy-").unwrap_or(name);
     terminal::complain(&format!("{name:<NAME_COLUMNS$} | {text}"));
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_startup_message_names_the_served_policy_and_addresses() {
-        let arguments = UpArguments {
-            data: "data".into(),
-            routes: vec!["mine=grpc://gpu:5000".to_owned()],
-            assets: "primitives".to_owned(),
-            look: Look::default(),
-            slots: "1".to_owned(),
-            listen: "127.0.0.1:0".parse().expect("an address"),
-            gateway_listen: "127.0.0.1:0".parse().expect("an address"),
-        };
-        let text = startup_message(&arguments, "127.0.0.1:4000", "127.0.0.1:4001");
-        for part in [
-            "--policy mine",
-            "--endpoint http://127.0.0.1:4001",
-            "coordinator report first --connect http://127.0.0.1:4000",
-        ] {
-            assert!(text.contains(part), "{part}: {text}");
-        }
-        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
-        // The message fits a terminal together with the log's first lines.
-        assert!(text.lines().count() <= 24, "{text}");
-        let default_message = startup_message(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
-        assert!(!default_message.contains("--connect"), "{default_message}");
-    }
-}

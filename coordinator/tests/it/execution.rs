@@ -54,7 +54,7 @@ async fn results_reports_and_tables_carry_the_execution_model() {
     let rows = folder.path().join("rollouts.jsonl");
     let (path, from) = (rows.to_string_lossy(), folder.path().to_string_lossy());
     succeed(serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]));
-    let read = coordinator(&["report", "--from", &from, "--json"]);
+    let read = coordinator(&["report", &from, "--json"]);
     assert_eq!(parse_json(&read.stdout)["reports"][0]["execution"], MODEL);
 }
 

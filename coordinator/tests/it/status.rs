@@ -119,10 +119,7 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
     let printed = &succeed(coordinator(&nowhere));
     assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
-    assert_contains(
-        printed,
-        &["no forecast of its duration: failed to reach", "took in the paper: MINERVA 1m18s, "],
-    );
+    assert_contains(printed, &["no forecast of its duration: failed to reach"]);
 
     // Workers must count as alive even if this machine is slow.
     let lease = ["--lease-secs", "3600"];

@@ -227,7 +227,7 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     let output = serve.command(&first(&["--tolerance", "2"]));
     let error = text(&output.stderr);
     assert!(error.contains("they differ in `purpose`"), "{error}");
-    succeed(serve.command(&["campaign", "rename", "first", "final"]));
+    succeed(serve.command(&["campaign", "set", "first", "--name", "final"]));
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
     let output_for_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
     let error = text(&output_for_derived.stderr);

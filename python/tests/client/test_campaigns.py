@@ -174,7 +174,7 @@ def test_errors_name_a_missing_campaign_and_the_new_name_of_a_renamed_campaign(c
         client.campaign("nope")
     campaign = client.create(specification("first"))
     program = client._program
-    program.run(*program.with_connection("campaign", "rename", "first", "second"))
+    program.run(*program.with_connection("campaign", "set", "first", "--name", "second"))
     for method in (campaign.status, campaign.results, campaign.report, campaign.pause):
         with pytest.raises(NoSuchCampaignError, match="second"):
             method()
