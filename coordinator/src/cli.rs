@@ -24,7 +24,6 @@ mod report;
 mod search;
 mod serve;
 mod set;
-mod siblings;
 mod slurm;
 mod status;
 mod thresholds;

@@ -6,17 +6,17 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{ArgGroup, Args};
-use coordinator::client::Service;
-use coordinator::video_estimate;
+use benchmark::family::Lacking;
 use benchmark::{
     AXES, Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution,
     ExecutionError, Level, Look, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo,
     PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef,
     UnknownName, Wanted, select_tasks,
 };
-use benchmark::family::Lacking;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{ArgGroup, Args};
+use coordinator::client::Service;
+use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use queue::Created;
 use queue::expand::NewCampaign;
@@ -164,36 +164,25 @@ struct SpecFlags {
     /// `overlap:N,rtc`, the same, and each query carries the actions that are executed meanwhile.
     /// Instead of N, `@FILE` draws from latencies measured by `policy-gateway check --latency`. If
     /// omitted, the model of the rows of --rows, or else `wait`.
-    #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
-    execution: Option<String>,
+    #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution)]
+    execution: Option<Execution>,
 }
 
-/// Checks the text of an execution model. If the text names a file of latencies, the file is not
-/// read.
-fn execution_text(text: &str) -> Result<String, ExecutionError> {
-    // A delay of 0 stands for the latencies of the file, which `execution` reads.
-    let (model, file) = text.split_once(":@").unwrap_or((text, ""));
-    let checked = match file {
-        "" => model.to_owned(),
-        _ => format!("{model}:0"),
-    };
-    checked.parse::<Execution>()?;
-    Ok(text.to_owned())
-}
-
-/// Returns the execution model that the text of `--execution` describes. `@FILE` is replaced by the
-/// latencies in the file.
-fn execution(text: &str) -> anyhow::Result<Execution> {
+/// Reads an execution model. `@FILE` is replaced by the latencies in the file.
+fn execution(text: &str) -> Result<Execution, String> {
     let Some((model, file)) = text.split_once(":@") else {
-        return Ok(text.parse()?);
+        return text.parse().map_err(|error: ExecutionError| error.to_string());
     };
     let (file, rtc_suffix) = match file.strip_suffix(",rtc") {
         Some(file) => (file, ",rtc"),
         None => (file, ""),
     };
-    let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
-    let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
-    Ok(format!("{model}:{delays}{rtc_suffix}").parse()?)
+    let read = || -> anyhow::Result<Execution> {
+        let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
+        let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
+        Ok(format!("{model}:{delays}{rtc_suffix}").parse()?)
+    };
+    read().map_err(|error| transport::chain(&*error))
 }
 
 /// The flags of a campaign that may end early.
@@ -403,10 +392,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking),
                 (Rollouts::Design(design_of_flags(arguments).map_err(usage)?), Lacking::default())
             }
         };
-    let execution = match &arguments.flags.execution {
-        Some(text) => execution(text).map_err(usage)?,
-        None => rollouts.execution(),
-    };
+    let execution = arguments.flags.execution.clone().unwrap_or_else(|| rollouts.execution());
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {

@@ -1,10 +1,10 @@
 //! `coordinator jobs`.
 
 use anyhow::anyhow;
+use benchmark::RolloutId;
 use clap::{ArgGroup, Args};
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
-use benchmark::RolloutId;
 use proto::coordinator::{
     GetJobRequest, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
 };

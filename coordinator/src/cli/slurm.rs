@@ -62,9 +62,6 @@ pub(super) struct SlurmArguments {
     /// Partition of the jobs. [default: the cluster's]
     #[arg(long, value_name = "NAME")]
     partition: Option<String>,
-    /// Account that the jobs are charged to.
-    #[arg(long, hide_short_help = true, value_name = "NAME")]
-    account: Option<String>,
     /// Time limit of a job, as Slurm writes it: 4:00:00. Jobs that reach it are queued
     /// again. [default: the partition's]
     #[arg(long, value_name = "TIME")]
@@ -105,9 +102,6 @@ struct WorkerArguments {
     #[arg(long, value_name = "N", default_value_t = 4,
         value_parser = number(1..=1_024_u32, "slots"))]
     slots: u32,
-    /// Memory of a slot.
-    #[arg(long, hide_short_help = true, value_name = "SIZE", default_value = "2G")]
-    slot_memory: String,
     /// Seconds that a worker has to finish its rollouts after the signal to end. It then gives the
     /// unfinished rollouts back, which takes up to ten seconds more. The sum of the two times must
     /// fit into Slurm's KillWait.
@@ -118,7 +112,8 @@ struct WorkerArguments {
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 600,
         value_parser = number(1..=604_800_u32, "seconds"))]
     idle_secs: u32,
-    /// Further sbatch option for the workers, such as `--worker-sbatch=--constraint=avx2`.
+    /// Further sbatch option for the workers, such as `--worker-sbatch=--account=lab`, or
+    /// `--worker-sbatch=--mem-per-cpu=4G` instead of 2G for a slot.
     /// (repeatable)
     #[arg(long, hide_short_help = true, value_name = "OPTION", allow_hyphen_values = true)]
     worker_sbatch: Vec<String>,
@@ -211,7 +206,6 @@ impl SlurmArguments {
             slurm_word("--gateway-partition", gateway.gateway_partition.as_ref())?;
         values.set_all("gateway_partition", partition_of_gateway.or_else(|| partition.clone()));
         values.set_all("partition", partition);
-        values.set_all("account", slurm_word("--account", self.account.as_ref())?);
         values.set_all("time", slurm_word("--time", self.time.as_ref())?);
         values.set("ahead_secs", self.ahead_secs);
 
@@ -222,8 +216,6 @@ impl SlurmArguments {
         values.set("assets", one_line("--assets", assets)?);
         values.set("workers", workers.workers);
         values.set("slots", workers.slots);
-        let memory = slurm_word("--slot-memory", Some(&workers.slot_memory))?;
-        values.set_all("slot_memory", memory);
         values.set("drain_secs", workers.drain_secs);
         values.set("idle_secs", workers.idle_secs);
         let further_options = sbatch_options("--worker-sbatch", &workers.worker_sbatch)?;

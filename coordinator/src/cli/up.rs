@@ -15,9 +15,9 @@ use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
-use clap::Args;
 use benchmark::Look;
 use benchmark::attempt::Waits;
+use clap::Args;
 use rustix::process::{Pid, kill_process};
 use terminal::PARENT_VARIABLE;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
@@ -27,7 +27,6 @@ use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
 use super::command::{CommandError, print_line, usage};
-use super::siblings::sibling;
 
 /// Interval between two polls for an exited child process.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -372,6 +371,23 @@ fn terminate(child: &Child) {
     let pid = child.id().and_then(|id| Pid::from_raw(id.cast_signed()));
     if let Some(pid) = pid {
         let _ = kill_process(pid, rustix::process::Signal::TERM);
+    }
+}
+
+/// Returns the path of a program in this program's folder.
+fn sibling(name: &str) -> anyhow::Result<PathBuf> {
+    let executable = std::env::current_exe().context("find this program's own file")?;
+    let path = executable.with_file_name(name);
+    match path.is_file() {
+        true => Ok(path),
+        false => {
+            let error = anyhow!(
+                "{} is not there; the release archive has all programs in one folder, and \
+                 `cargo build --workspace --bins` builds them in a checkout",
+                path.display()
+            );
+            Err(error.context(format!("find `{name}` beside this program")))
+        }
     }
 }
 

@@ -57,7 +57,7 @@ fn written_scripts_are_valid_bash_for_any_values() {
     let server = "serve 'a b' && echo \"$HOME\"; # done";
     #[rustfmt::skip]
     let more = [
-        "--into", into, "--partition", "low,high", "--account", "me", "--time", "4:00:00",
+        "--into", into, "--partition", "low,high", "--time", "4:00:00",
         "--workers", "7", "--slots", "2", "--policy", "mine=grpc://127.0.0.1:5000",
         "--policy-server", server, "--gpus", "a100:1", "--gateway-partition", "gpu",
         "--worker-sbatch=--constraint=avx2&ib", "--worker-sbatch=--exclude=n[1-3]",
