@@ -15,7 +15,7 @@ use benchmark::attempt::{
 use clap::Parser;
 use queue::clock::SystemClock;
 use queue::expand::NewCampaign;
-use queue::ids::{CampaignName, WorkerId};
+use queue::ids::WorkerId;
 use queue::{
     Assigned, ClaimRequest, CommitReport, CommitVerdict, DATABASE_FILE, Queue, Store, Timing,
     WorkerInfo,
@@ -41,10 +41,6 @@ struct Arguments {
     /// Mean duration of a rollout, milliseconds; each takes up to a fifth more or less.
     #[arg(long, default_value_t = 900)]
     rollout_millis: u64,
-    /// Rollouts of a second campaign that is repeatedly created, copied, deleted and imported
-    /// during the benchmark; 0 for none.
-    #[arg(long, default_value_t = 0)]
-    beside: u64,
     /// Folder for the database; a temporary folder if omitted.
     #[arg(long)]
     data: Option<PathBuf>,
@@ -75,8 +71,9 @@ async fn main() -> Result<()> {
     let store = Store::open(&folder).await?;
     let rng = ChaCha8Rng::seed_from_u64(1);
     let queue = Queue::start(store, Arc::new(SystemClock::start()), rng, Timing::default()).await?;
-    let (jobs, expand_secs) = create(&queue, &spec("bench", arguments.jobs)?).await?;
-    let step_secs = Arc::new(Mutex::new(Vec::new()));
+    let began = Instant::now();
+    let jobs = queue.create_campaign(&spec(arguments.jobs)?).await?.jobs_total;
+    let expand_secs = began.elapsed().as_secs_f64();
 
     let mut background = JoinSet::new();
     for worker in 0..arguments.slots.div_ceil(arguments.slots_per_worker) {
@@ -91,10 +88,6 @@ async fn main() -> Result<()> {
         }
     });
 
-    if arguments.beside > 0 {
-        background.spawn(move_other_campaign(queue.clone(), arguments.beside, step_secs.clone()));
-    }
-
     let measured = Arc::new(Measured::default());
     let began = Instant::now();
     let mut slots = JoinSet::new();
@@ -108,19 +101,16 @@ async fn main() -> Result<()> {
     let elapsed = began.elapsed();
     slots.abort_all();
     background.abort_all();
-    let mut report =
-        report(&arguments, (&measured, &seconds, elapsed), jobs, expand_secs, &folder)?;
-    report["beside_create_copy_delete_import_secs"] =
-        json!(*step_secs.lock().expect("nothing panics"));
+    let report = report(&arguments, (&measured, &seconds, elapsed), jobs, expand_secs, &folder)?;
     println!("{}", serde_json::to_string_pretty(&report)?);
     queue.close().await?;
     Ok(())
 }
 
-fn spec(name: &str, jobs: u64) -> Result<NewCampaign> {
+fn spec(jobs: u64) -> Result<NewCampaign> {
     let configs: Vec<u64> = (0..jobs.div_ceil(ROLLOUTS_PER_CONFIG)).collect();
     let spec = json!({
-        "name": name,
+        "name": "bench",
         "policy": {"name": "simulated", "endpoint": "http://127.0.0.1:1"},
         "tasks": benchmark::select_tasks("all")?,
         "axes": benchmark::Axis::ALL,
@@ -129,42 +119,6 @@ fn spec(name: &str, jobs: u64) -> Result<NewCampaign> {
         "nominal": "none",
     });
     Ok(NewCampaign::from_json(&spec.to_string())?)
-}
-
-async fn create(queue: &Queue, campaign: &NewCampaign) -> Result<(u64, f64)> {
-    let began = Instant::now();
-    let created = queue.create_campaign(campaign).await?;
-    Ok((created.jobs_total, began.elapsed().as_secs_f64()))
-}
-
-/// Repeatedly creates, copies, deletes and imports another campaign, and records the duration of
-/// each step, seconds.
-async fn move_other_campaign(
-    queue: Arc<Queue>,
-    jobs: u64,
-    step_secs: Arc<Mutex<Vec<[f64; 4]>>>,
-) -> Result<()> {
-    let mut campaign = spec("other", jobs)?;
-    // The priority is lower, so that the slots run only the first campaign.
-    campaign.priority = -1;
-    let name = CampaignName::parse("other")?;
-    loop {
-        let folder = tempfile::tempdir()?;
-        let (_, created) = create(&queue, &campaign).await?;
-        let began = Instant::now();
-        let (copy, _) = queue.copy_campaign(&name, folder.path()).await?;
-        let copied = began.elapsed().as_secs_f64();
-        let began = Instant::now();
-        queue.delete_campaign(&name).await?;
-        let deleted = began.elapsed().as_secs_f64();
-        let began = Instant::now();
-        queue.adopt(&copy, None, None).await?;
-        let imported = began.elapsed().as_secs_f64();
-        copy.close().await?;
-        queue.delete_campaign(&name).await?;
-        let mut step_secs = step_secs.lock().expect("nothing panics");
-        step_secs.push([created, copied, deleted, imported]);
-    }
 }
 
 /// Simulates a slot, which claims, sleeps and commits until all jobs are committed.

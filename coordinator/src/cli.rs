@@ -1,12 +1,10 @@
 //! The command line of `coordinator`: parses the arguments and reports the outcome. The exit code
 //! is 2 for an invalid command and 1 for a command that failed.
 
-mod alter;
 mod backup;
 mod check;
 mod command;
 mod compare;
-mod completions;
 mod create;
 mod explain;
 mod export;
@@ -17,7 +15,6 @@ mod horizon;
 mod interactions;
 mod jobs;
 mod json;
-mod launch;
 mod line;
 mod manifest;
 mod moving;
@@ -26,9 +23,9 @@ mod planning;
 mod report;
 mod search;
 mod serve;
-mod siblings;
+mod set;
+mod slurm;
 mod status;
-mod stopping;
 mod thresholds;
 mod up;
 mod variant_flags;
@@ -77,18 +74,16 @@ enum Command {
     /// Create, list and follow campaigns.
     #[command(subcommand)]
     Campaign(CampaignCommand),
-    /// List, show, retry and skip the rollouts of a campaign.
-    #[command(subcommand)]
-    Jobs(jobs::JobsCommand),
+    /// List the rollouts of a campaign, show one, or requeue or skip some.
+    Jobs(jobs::JobsArguments),
     /// List the workers and their states.
     Workers(workers::WorkersArguments),
     /// Copy the database while the coordinator runs.
     Backup(backup::BackupArguments),
     /// Verify every invariant of a database, reading only.
     Check(check::CheckArguments),
-    /// Expand, check and compare manifests.
-    #[command(subcommand)]
-    Manifest(manifest::ManifestCommand),
+    /// Check a manifest, compare two, or expand a design into one.
+    Manifest(manifest::ManifestArguments),
     /// Report on campaigns, finished or not, or on result files.
     Report(report::ReportArguments),
     /// Compare two policies, given as campaigns or result files, over the rollouts that both have
@@ -104,15 +99,13 @@ enum Command {
     Interactions(interactions::InteractionsArguments),
     /// Write the committed results of a campaign.
     Export(export::ExportArguments),
-    /// Show, write or submit the scripts that run workers and policies on a cluster.
-    #[command(subcommand)]
-    Launch(launch::LaunchCommand),
-    /// Print a script that completes this program's commands in a shell.
-    Completions(completions::CompletionsArguments),
-    /// Write this program's manual pages.
+    /// Show, write or submit the scripts for a Slurm cluster: the coordinator on a permanent
+    /// machine, workers as an array job, and a policy server behind the gateway.
+    Slurm(Box<slurm::SlurmArguments>),
+    /// Write this program's manual pages and shell completions.
     #[command(hide = true)]
     Manual {
-        /// Folder to write the pages into.
+        /// Folder `share` of a prefix.
         folder: PathBuf,
     },
 }
@@ -123,9 +116,7 @@ enum CampaignCommand {
     Create(Box<create::CreateArguments>),
     /// Add the rollouts that a campaign lacks of a larger design, or further rows.
     Extend(extend::ExtendArguments),
-    /// List all campaigns.
-    List(status::ListArguments),
-    /// Show the progress of one campaign, or of all.
+    /// List all campaigns, or show the progress of one.
     Status(status::StatusArguments),
     /// Stop leasing the campaign's rollouts; those in progress may still be committed.
     Pause(operate::ChangeArguments),
@@ -133,14 +124,8 @@ enum CampaignCommand {
     Resume(operate::ChangeArguments),
     /// End a campaign permanently; its results are kept.
     Cancel(operate::ChangeArguments),
-    /// Set the priority with which a campaign's rollouts are leased.
-    SetPriority(alter::PriorityArguments),
-    /// Change the endpoint of a campaign's policy.
-    SetEndpoint(alter::EndpointArguments),
-    /// Move every unfinished campaign from one policy endpoint to another.
-    MoveEndpoint(alter::MoveArguments),
-    /// Give a campaign another name.
-    Rename(alter::RenameArguments),
+    /// Change the priority, endpoint, policy or name of a campaign, or the endpoint of several.
+    Set(set::SetArguments),
     /// Write a campaign with its results and files into one file.
     Archive(moving::ArchiveArguments),
     /// Verify an archive and add its campaign.
@@ -176,24 +161,21 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Up(arguments) => up::up(arguments).await,
         Command::Serve(arguments) => serve::serve(arguments).await,
         Command::Campaign(command) => campaign(command).await,
-        Command::Jobs(command) => jobs::jobs(command).await,
+        Command::Jobs(arguments) => jobs::jobs(arguments).await,
         Command::Workers(arguments) => workers::workers(arguments).await,
         Command::Backup(arguments) => backup::backup(arguments).await,
         Command::Check(arguments) => check::check(arguments).await,
-        Command::Manifest(command) => manifest::manifest(command),
+        Command::Manifest(arguments) => manifest::manifest(&arguments),
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Interactions(arguments) => interactions::interactions(arguments).await,
         Command::Export(arguments) => export::export(arguments).await,
-        Command::Launch(command) => launch::launch(command),
-        Command::Completions(arguments) => {
-            completions::completions(arguments, Arguments::command())
-        }
+        Command::Slurm(arguments) => slurm::slurm(&arguments),
         Command::Manual { folder } => {
             let written = terminal::write_manual(Arguments::with_environment(), &folder);
-            Ok(written.with_context(|| format!("write manual pages into {}", folder.display()))?)
+            Ok(written.with_context(|| format!("write into {}", folder.display()))?)
         }
     }
 }
@@ -202,15 +184,11 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
     match command {
         CampaignCommand::Create(arguments) => create::create(*arguments).await,
         CampaignCommand::Extend(arguments) => extend::extend(arguments).await,
-        CampaignCommand::List(arguments) => status::list(arguments).await,
         CampaignCommand::Status(arguments) => status::status(arguments).await,
         CampaignCommand::Pause(arguments) => operate::change(arguments, Change::Pause).await,
         CampaignCommand::Resume(arguments) => operate::change(arguments, Change::Resume).await,
         CampaignCommand::Cancel(arguments) => operate::change(arguments, Change::Cancel).await,
-        CampaignCommand::SetPriority(arguments) => alter::set_priority(arguments).await,
-        CampaignCommand::SetEndpoint(arguments) => alter::set_endpoint(arguments).await,
-        CampaignCommand::MoveEndpoint(arguments) => alter::move_endpoint(arguments).await,
-        CampaignCommand::Rename(arguments) => alter::rename(arguments).await,
+        CampaignCommand::Set(arguments) => set::set(arguments).await,
         CampaignCommand::Archive(arguments) => moving::archive(arguments).await,
         CampaignCommand::Import(arguments) => moving::import(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
@@ -235,33 +213,6 @@ mod tests {
                 assert!(long.contains("\nConnection:\n"), "{words}: {long}");
                 assert!(!short.contains("--retry-secs"), "{words}: {short}");
             }
-        }
-    }
-
-    #[test]
-    fn the_largest_commands_have_three_examples_in_their_long_help_only() {
-        let program = Arguments::command();
-        for words in [
-            "campaign create",
-            "jobs list",
-            "report",
-            "explain",
-            "thresholds",
-            "export",
-            "up",
-            "launch slurm",
-        ] {
-            let subcommand = |command: &clap::Command, word| command.find_subcommand(word).cloned();
-            let command = words
-                .split(' ')
-                .try_fold(program.clone(), |command, word| subcommand(&command, word));
-            let mut command = command.expect(words);
-            let long = command.render_long_help().to_string();
-            let (_, examples) = long.split_once("Examples:").expect(words);
-            let shown = examples.lines().filter(|line| line.trim().starts_with("coordinator "));
-            assert!(shown.count() >= 3, "{words}: {examples}");
-            let short = command.render_help().to_string();
-            assert!(!short.contains("Examples:"), "{words}: {short}");
         }
     }
 }

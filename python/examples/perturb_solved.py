@@ -1,6 +1,6 @@
 """Runs the nominal rollouts of a manifest, then all rollouts of the tasks that were solved.
 
-    coordinator manifest expand --version v0.1 --output rows.jsonl
+    coordinator manifest --version v0.1 --output rows.jsonl
     COORDINATOR_URL=http://127.0.0.1:7411 \
         python perturb_solved.py rows.jsonl student http://127.0.0.1:7412
 """

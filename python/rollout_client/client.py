@@ -105,7 +105,7 @@ class Client:
         """Returns the number of rollouts that `create` would create, and the time that the
         currently connected workers would take. Creates nothing."""
         text = _text(spec)
-        rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
+        rows = self._program.run("manifest", "--spec", "-", text=text).splitlines()
         suites = Counter(json.loads(row)["suite"] for row in rows)
         fields = json.loads(text)
         replicates = fields.get("replicates", 1)

@@ -118,7 +118,7 @@ class Connection:
             return None
         remedy = (
             "start it with `coordinator serve`, or find out what is there with"
-            f" `coordinator campaign list --connect {self.access.url}`"
+            f" `coordinator campaign status --connect {self.access.url}`"
         )
         return UnreachableError(self.access.url, details, remedy)
 

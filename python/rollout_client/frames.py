@@ -35,7 +35,7 @@ ARCHIVED = {
     **of(INSTANT, "committed_at"), **of(ARRAY, "path actions"),
 }  # fmt: skip
 
-#: Columns with the names of `coordinator jobs list --json`.
+#: Columns with the names of `coordinator jobs --json`.
 JOBS = {
     **of(TEXT, "rollout_id"), **of(COUNT, "replicate job_id"), **of(TEXT, "state outcome"),
     **of(INTEGER, "steps"), **of(COUNT, "attempts charged_attempts"),

@@ -118,12 +118,10 @@ class Comparison:
 def report(connection: Connection, program: Program, sources: tuple[str | Path, ...]) -> Report:
     """Returns a report on campaigns (names) and result files (paths). Raises CoordinatorError."""
     _require_campaigns(connection, sources)
-    names = [source for source in sources if isinstance(source, str)]
-    files = [flag for path in sources if isinstance(path, Path) for flag in ("--from", path)]
     types: dict[Any, Any] = defaultdict(lambda: OUTCOME, CONFIGURATIONS)
     with TemporaryDirectory(prefix="rollout-") as folder:
         table = Path(folder) / "configurations.csv"
-        command = ("report", *names, "--json", *files, "--table", table)
+        command = ("report", *map(_source, sources), "--json", "--table", table)
         text = program.run(*program.with_connection(*command))
         # Only empty cells are missing values: "NA" may be the name of a policy.
         rows = pd.read_csv(table, dtype=types, keep_default_na=False, na_values=[""])
@@ -146,8 +144,8 @@ def compare(connection: Connection, program: Program, a: str | Path, b: str | Pa
     """Returns the comparison of two campaigns (names) or result files (paths). Differences are
     A - B. Raises CoordinatorError."""
     _require_campaigns(connection, (a, b))
-    sources = [argument for source in (a, b) for argument in _source(source)]
-    text = program.run(*program.with_connection("compare", *sources, "--json"))
+    command = ("compare", _source(a), _source(b), "--json")
+    text = program.run(*program.with_connection(*command))
     document = json.loads(text)
     return Comparison(
         json=document,
@@ -167,8 +165,10 @@ def _require_campaigns(connection: Connection, sources: tuple[str | Path, ...]) 
             connection.campaign(source)
 
 
-def _source(source: str | Path) -> tuple[str | Path, ...]:
-    return ("--from", source) if isinstance(source, Path) else (source,)
+def _source(source: str | Path) -> str:
+    """Returns the argument for a source: paths have a `/`, which no campaign's name has."""
+    text = str(source)
+    return f"./{text}" if isinstance(source, Path) and "/" not in text else text
 
 
 def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:

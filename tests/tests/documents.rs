@@ -69,7 +69,7 @@ fn a_failed_command_is_reported_with_its_line_and_output() {
 export WORD=spoken
 echo $WORD && false   # the shell stays the same
 coordinator serve --data here --listen 127.0.0.1:7411
-coordinator campaign list
+coordinator campaign status
 coordinator serve --data there --listen 127.0.0.1:7411
 ```
 

@@ -31,25 +31,6 @@ fn the_same_campaign_twice_gives_the_same_outcomes_and_step_counts() {
 }
 
 #[test]
-fn killing_a_worker_changes_no_outcome() {
-    let data = tempfile::tempdir().unwrap();
-    let campaigns = Campaigns::start(data.path());
-    campaigns.create("undisturbed", "expert", TASKS, "2");
-    {
-        let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
-        campaigns.wait_for_commits("undisturbed", None);
-    }
-    campaigns.create("disturbed", "expert", TASKS, "2");
-    let victim = Process::worker(&campaigns.coordinator.url, 2, "primitives");
-    campaigns.wait_for_commits("disturbed", Some(3));
-    victim.signal("-KILL");
-    let _successor = Process::worker(&campaigns.coordinator.url, 2, "primitives");
-    campaigns.wait_for_commits("disturbed", None);
-    assert_eq!(campaigns.outcomes("disturbed").len(), 2 * CONDITIONS);
-    assert_eq!(campaigns.outcomes("disturbed"), campaigns.outcomes("undisturbed"));
-}
-
-#[test]
 fn a_python_policy_answers_from_pixels_through_the_gateway() {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
         eprintln!(
@@ -103,52 +84,4 @@ fn roll_out(name: &str, policy: &Process) {
     assert!(status.success());
     let result = std::fs::read_to_string(output.path().join("result.json")).unwrap();
     assert!(result.contains("first_frame"), "{result}");
-}
-
-/// Runs a program with invalid input; returns its exit code and error output.
-fn refusal(name: &str, arguments: &[&str]) -> (Option<i32>, String) {
-    let output = Command::new(program(name)).args(arguments).output().unwrap();
-    (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned())
-}
-
-#[test]
-fn invalid_input_is_refused_with_its_place_and_the_remedy() {
-    let check = |name: &str, arguments: &[&str], code: i32, words: &[&str]| {
-        let (status, errors) = refusal(name, arguments);
-        assert_eq!(status, Some(code), "{name} {arguments:?}: {errors}");
-        for word in words {
-            assert!(errors.contains(word), "{name} {arguments:?}: {errors}");
-        }
-    };
-    #[rustfmt::skip]
-    let create = |tasks: &'static str, axes: &'static str| {
-        vec![
-            "campaign", "create", "--name", "x", "--policy", "p", "--endpoint", "http://127.0.0.1:9",
-            "--tasks", tasks, "--axes", axes, "--connect", "http://127.0.0.1:9", "--retry-secs", "1",
-        ]
-    };
-    check(
-        "coordinator",
-        &create("libero_sptial", "camera"),
-        2,
-        &["libero_sptial", "libero_spatial"],
-    );
-    check("coordinator", &create("libero_goal/10", "camera"), 2, &["libero_goal/10"]);
-    check("coordinator", &create("libero_goal/1", "colour"), 2, &["colour", "lighting"]);
-    check(
-        "coordinator",
-        &create("libero_goal/1", "camera"),
-        1,
-        &["127.0.0.1:9", "coordinator serve"],
-    );
-    #[rustfmt::skip]
-    let rollout = |assets: &'static str| {
-        vec![
-            "rollout", "--id", "goal/t1/camera/L1/c00", "--endpoint", "http://127.0.0.1:9",
-            "--output", "/dev/null/x", "--assets", assets,
-        ]
-    };
-    check("worker", &rollout("/no/such/folder"), 1, &["/no/such/folder", "--assets"]);
-    check("worker", &["--slots", "2"], 2, &["--connect"]);
-    check("policy-gateway", &["--route", "x=builtin:exprt"], 2, &["exprt", "expert"]);
 }

@@ -89,7 +89,7 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_rollout() {
     let outcomes = stored(&data, "plus").await;
     for (id, outcome) in &outcomes {
         assert_eq!(prompts[&Value::from(id.as_str())], outcome.prompt, "{id}");
-        let shown = campaigns.succeed(&["jobs", "show", "plus", id]);
+        let shown = campaigns.succeed(&["jobs", "plus", id]);
         let line = format!("  prompt         {}\n", outcome.prompt);
         assert!(shown.contains(&line), "{shown}");
     }
@@ -165,7 +165,7 @@ fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() 
         assert!(start.elapsed() < Duration::from_secs(120), "no remedy in the log");
         std::thread::sleep(Duration::from_millis(200));
     }
-    let shown = ["jobs", "show", "plus", "goal/t8/plus:level1_sample1/i00"];
+    let shown = ["jobs", "plus", "goal/t8/plus:level1_sample1/i00"];
     let layout = campaigns.succeed(&shown);
     assert!(layout.contains("attempts       0,"), "never leased: {layout}");
     let report = campaigns.succeed(&["report", "plus", "--json"]);

@@ -1,4 +1,4 @@
-//! Runs the scripts of `coordinator launch slurm` on a real cluster of two nodes, where jobs are
+//! Runs the scripts of `coordinator slurm` on a real cluster of two nodes, where jobs are
 //! preempted, requeued and ended at their time limit.
 
 use std::path::PathBuf;
@@ -118,7 +118,7 @@ impl ClusterCampaign {
         let url = format!("http://{}:{port}", host_name());
         let launch = |more: &[&str]| {
             let mut launch = cluster.command("coordinator");
-            launch.args(["launch", "slurm", "--connect", &url, "--insecure"]);
+            launch.args(["slurm", "--connect", &url, "--insecure"]);
             launch.arg("--into").arg(&scripts);
             launch.arg("--data").arg(cluster.path("campaigns"));
             #[rustfmt::skip]
@@ -196,7 +196,7 @@ impl ClusterCampaign {
     /// Asserts that no attempt was charged, and that all attempts without an outcome ended for a
     /// reason in [`UNCHARGED`].
     fn assert_no_charges(&self) {
-        let jobs = self.json(&["jobs", "list", CAMPAIGN, "--limit", "10000"]);
+        let jobs = self.json(&["jobs", CAMPAIGN, "--limit", "10000"]);
         let jobs = jobs["jobs"].as_array().expect("a list");
         for job in jobs {
             assert_eq!(job["state"], "committed", "{job}");
@@ -215,7 +215,7 @@ impl ClusterCampaign {
 
     /// Returns the reasons for which attempts ended without an outcome.
     fn endings(&self) -> Vec<String> {
-        let jobs = self.json(&["jobs", "list", CAMPAIGN, "--limit", "10000"]);
+        let jobs = self.json(&["jobs", CAMPAIGN, "--limit", "10000"]);
         let jobs = jobs["jobs"].as_array().expect("a list");
         let mut endings = Vec::new();
         for job in jobs {
@@ -223,7 +223,7 @@ impl ClusterCampaign {
                 continue;
             }
             let id = job["rollout_id"].as_str().expect("an id");
-            let shown = self.json(&["jobs", "show", CAMPAIGN, id]);
+            let shown = self.json(&["jobs", CAMPAIGN, id]);
             let failures = shown["failures"].as_array().expect("a list");
             let reasons = failures.iter().map(|failure| failure["reason"].as_str());
             endings.extend(reasons.map(|reason| reason.unwrap_or_default().to_owned()));

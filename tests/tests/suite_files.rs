@@ -310,7 +310,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_their_prompts_and_states() {
     let row: Value = serde_json::from_str(export.lines().next().expect("a row")).expect("JSON");
     assert_eq!(row["protocol"], protocol);
     assert_eq!((&row["suite"], &row["axis"]), (&json!("own"), &json!("variant")));
-    let shown = campaigns.succeed(&["jobs", "show", "ninety", "own/t0/own:libero_90/i00"]);
+    let shown = campaigns.succeed(&["jobs", "ninety", "own/t0/own:libero_90/i00"]);
     assert!(shown.contains("close the top drawer of the cabinet"), "{shown}");
 
     // Another coordinator imports the archive with its films.
@@ -368,7 +368,7 @@ fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
     std::thread::sleep(Duration::from_secs(3));
     let attempts = |trial: u8| {
         let id = format!("own/t1/own:tables/i{trial:02}");
-        let shown = campaigns.succeed(&["jobs", "show", "own", &id]);
+        let shown = campaigns.succeed(&["jobs", "own", &id]);
         let line = shown.lines().find(|line| line.contains("attempts"));
         line.expect("a line").trim().to_owned()
     };

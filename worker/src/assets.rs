@@ -32,26 +32,24 @@ const MAX_NAMED: usize = 20;
 pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);
-    match &arguments.command {
-        AssetsCommand::Path => print(&format!("{}\n", Sources::fetched_pack(&dir).display())),
-        AssetsCommand::List { packs } => {
-            let sources = Sources::open(&dir)?;
-            for pack in packs_or_default(packs) {
-                let pack = AssetPack::open(&pack, &sources)?;
-                print(&describe(&pack, &sources)?)?;
-            }
-            Ok(())
-        }
-        AssetsCommand::Verify { pack } => {
-            let sources = Sources::open(&dir)?;
-            let packs = pack.as_ref().map(std::slice::from_ref);
-            for pack in packs_or_default(packs.unwrap_or_default()) {
-                verify(&AssetPack::open(&pack, &sources)?, &sources)?;
-            }
-            Ok(())
-        }
-        AssetsCommand::Fetch(arguments) => fetch(arguments, &Sources::open(&dir)?),
+    if arguments.path {
+        return print(&format!("{}\n", Sources::fetched_pack(&dir).display()));
     }
+    let sources = Sources::open(&dir)?;
+    if let Some(AssetsCommand::Fetch(arguments)) = &arguments.command {
+        return fetch(arguments, &sources);
+    }
+    let default = [LIBERO, PRIMITIVES].map(str::to_owned);
+    let packs = if arguments.packs.is_empty() { &default[..] } else { &arguments.packs };
+    for pack in packs {
+        let pack = AssetPack::open(pack, &sources)?;
+        if arguments.verify {
+            verify(&pack, &sources)?;
+        } else {
+            print(&describe(&pack, &sources)?)?;
+        }
+    }
+    Ok(())
 }
 
 /// Fetches the missing files of tasks, with progress on standard error.
@@ -178,14 +176,6 @@ impl Provider {
     /// Cancels the fetches in progress, and every later fetch as soon as it reports progress.
     pub fn end(&self) {
         self.is_cancelled.store(true, Ordering::Relaxed);
-    }
-}
-
-/// Returns the given packs, or `libero` and `primitives` if none is given.
-fn packs_or_default(given: &[String]) -> Vec<String> {
-    match given {
-        [] => vec![LIBERO.to_owned(), PRIMITIVES.to_owned()],
-        given => given.to_vec(),
     }
 }
 

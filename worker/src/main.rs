@@ -57,7 +57,6 @@ fn main() -> ExitCode {
         (Some(Command::Variants(arguments)), _) => run_variants(*arguments),
         (Some(Command::Preview(preview)), _) => run_preview(&preview),
         (Some(Command::Film(arguments)), _) => run_film(arguments),
-        (Some(Command::Completions { shell }), _) => print_completions(shell),
         (Some(Command::Manual { folder }), _) => manual(&folder),
         (Some(Command::Assets(arguments)), _) => {
             assets::run(&arguments).map_err(anyhow::Error::from)
@@ -81,16 +80,10 @@ fn print_line(line: &str) -> anyhow::Result<()> {
     terminal::print_line(line).context("print to standard output")
 }
 
-fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
-    let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::parser(VERSION), "worker", &mut script);
-    terminal::print(&String::from_utf8_lossy(&script)).context("print to standard output")
-}
-
 fn manual(folder: &Path) -> anyhow::Result<()> {
     let written =
         terminal::write_manual(terminal::with_variables(Arguments::parser(VERSION)), folder);
-    written.with_context(|| format!("write manual pages into {}", folder.display()))
+    written.with_context(|| format!("write into {}", folder.display()))
 }
 
 fn open_simulator(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {

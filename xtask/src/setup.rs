@@ -62,7 +62,7 @@ pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
     let worker = || Command::new(programs.join("worker"));
     println!("  LIBERO's assets");
     run_command(worker().args(["assets", "fetch", "--tasks", tasks]))?;
-    capture(worker().args(["assets", "path"])).map(PathBuf::from)
+    capture(worker().args(["assets", "--path"])).map(PathBuf::from)
 }
 
 /// Returns the given folder of LIBERO's assets, else fetches a task's assets and returns their

@@ -315,9 +315,8 @@ pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<(
 }
 
 fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
-    let has = |wanted: &str| arguments.iter().any(|argument| argument == wanted);
     match name {
-        "bench_draw" => !has("--alone"),
+        "bench_draw" => true,
         _ => {
             let after = arguments.iter().skip_while(|argument| *argument != "--renderer").nth(1);
             let joined = arguments.iter().find_map(|argument| argument.strip_prefix("--renderer="));
@@ -342,6 +341,5 @@ mod tests {
         assert!(installs_opengl("parity", "--renderer=gl:1 --reference DIR"));
         assert!(!installs_opengl("parity", "--renderer"));
         assert!(installs_opengl("bench_draw", "--tasks all"));
-        assert!(!installs_opengl("bench_draw", "--alone"));
     }
 }

@@ -1,10 +1,12 @@
 //! Helpers shared by all commands: coordinator client, error classes and output.
 
+use std::path::Path;
 use std::time::Duration;
 
 use anyhow::Context;
 use clap::Args;
 use coordinator::client::{Client, ClientError, RETRY_FOR};
+use report::Subject;
 use terminal::number;
 use transport::{Access, AccessError, ClientArguments, Role};
 
@@ -60,6 +62,18 @@ impl Connection {
     /// Returns a client that retries for `--retry-secs`.
     pub(super) fn client(&self) -> Result<Client, CommandError> {
         self.client_retrying_for(Duration::from_secs(self.retry_secs))
+    }
+
+    /// Reads the results of campaigns, and, where there is a `/`, which no name has, of files.
+    pub(super) async fn subjects(&self, sources: &[String]) -> Result<Vec<Subject>, CommandError> {
+        let mut subjects = Vec::new();
+        for source in sources {
+            subjects.push(match source.contains('/') {
+                true => report::import(Path::new(source)).map_err(usage)?,
+                false => self.client()?.report(source).await?,
+            });
+        }
+        Ok(subjects)
     }
 
     /// Returns the credentials for a campaign's policy, from the files given for the coordinator.

@@ -26,10 +26,10 @@ use terminal::{counted, decimal, number, number_from, wrapped};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::files::{read_manifest, read_spec};
+use super::forecast;
 use super::horizon::{self, Asks};
 use super::planning;
 use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
-use super::{forecast, stopping};
 
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
@@ -164,36 +164,25 @@ struct SpecFlags {
     /// `overlap:N,rtc`, the same, and each query carries the actions that are executed meanwhile.
     /// Instead of N, `@FILE` draws from latencies measured by `policy-gateway check --latency`. If
     /// omitted, the model of the rows of --rows, or else `wait`.
-    #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution_text)]
-    execution: Option<String>,
+    #[arg(long, value_name = "MODEL", hide_short_help = true, value_parser = execution)]
+    execution: Option<Execution>,
 }
 
-/// Checks the text of an execution model. If the text names a file of latencies, the file is not
-/// read.
-fn execution_text(text: &str) -> Result<String, ExecutionError> {
-    // A delay of 0 stands for the latencies of the file, which `execution` reads.
-    let (model, file) = text.split_once(":@").unwrap_or((text, ""));
-    let checked = match file {
-        "" => model.to_owned(),
-        _ => format!("{model}:0"),
-    };
-    checked.parse::<Execution>()?;
-    Ok(text.to_owned())
-}
-
-/// Returns the execution model that the text of `--execution` describes. `@FILE` is replaced by the
-/// latencies in the file.
-fn execution(text: &str) -> anyhow::Result<Execution> {
+/// Reads an execution model. `@FILE` is replaced by the latencies in the file.
+fn execution(text: &str) -> Result<Execution, String> {
     let Some((model, file)) = text.split_once(":@") else {
-        return Ok(text.parse()?);
+        return text.parse().map_err(|error: ExecutionError| error.to_string());
     };
     let (file, rtc_suffix) = match file.strip_suffix(",rtc") {
         Some(file) => (file, ",rtc"),
         None => (file, ""),
     };
-    let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
-    let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
-    Ok(format!("{model}:{delays}{rtc_suffix}").parse()?)
+    let read = || -> anyhow::Result<Execution> {
+        let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
+        let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
+        Ok(format!("{model}:{delays}{rtc_suffix}").parse()?)
+    };
+    read().map_err(|error| transport::chain(&*error))
 }
 
 /// The flags of a campaign that may end early.
@@ -294,7 +283,6 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         print_stop(&spec, &campaign)?;
         print_execution(&spec, unknown.as_deref())?;
         print_line(&forecast::describe(&answer, &campaign.policy))?;
-        print_line(&forecast::describe_paper(&campaign))?;
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
@@ -316,7 +304,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
-            "campaign {name} keeps priority {kept}: `coordinator campaign set-priority` changes it"
+            "campaign {name} keeps priority {kept}: `coordinator campaign set` changes it"
         ))?;
     }
     print_video_estimate(&campaign)
@@ -370,11 +358,18 @@ fn print_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), Command
             "the campaign ends early once {rule} at every level; configurations run in the order \
              of seed {seed}, in rounds of {strata}"
         ))?;
-        for line in
-            stopping::explain_rule(rule, campaign.stoppable_configurations.unwrap_or_default())
-        {
-            print_line(&wrapped("  ", 4, &line))?;
-        }
+        let configurations =
+            counted(campaign.stoppable_configurations.unwrap_or_default() as u64, "configuration");
+        print_line(&wrapped(
+            "  ",
+            4,
+            &format!(
+                "the confidence is 95 % at each level, over all looks (evaluations of the rule) \
+                 together, and for these {configurations} only: other tasks, initial states and \
+                 directions may differ. A difference that ends a campaign is likely to be larger \
+                 at the last look than over the whole campaign"
+            ),
+        ))?;
     }
     Ok(())
 }
@@ -397,10 +392,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking),
                 (Rollouts::Design(design_of_flags(arguments).map_err(usage)?), Lacking::default())
             }
         };
-    let execution = match &arguments.flags.execution {
-        Some(text) => execution(text).map_err(usage)?,
-        None => rollouts.execution(),
-    };
+    let execution = arguments.flags.execution.clone().unwrap_or_else(|| rollouts.execution());
     let spec = CampaignSpec {
         name: arguments.name.clone().unwrap_or_default(),
         policy: PolicyRoute {

@@ -35,22 +35,24 @@ pub(super) struct ExplainArguments {
     name: Option<String>,
     /// Maximum number of rollouts, spent on transitions in random order; if omitted, every
     /// transition is explained.
-    #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
+    #[arg(long, value_name = "N", requires = "CreateFlags",
+        value_parser = number(1..=u32::MAX, "rollouts"))]
     budget: Option<u32>,
     /// Seed of the random order in which transitions are explained. [default: 0]
-    #[arg(long, value_parser = number_from(0_u64, ""))]
+    #[arg(long, requires = "CreateFlags", value_parser = number_from(0_u64, ""))]
     seed: Option<u64>,
     /// Run every subset, not only those that are needed to find the minimal ones.
-    #[arg(long)]
+    #[arg(long, requires = "CreateFlags")]
     exhaustive: bool,
     /// For a stochastic policy: maximum number of replicates for the verdict on a subset, not
     /// counting the outcomes of CAMPAIGN. With six axes, N must be at least 12. If omitted, one
     /// rollout decides.
-    #[arg(long, value_name = "N", value_parser = number(2..=MAX_REPEATS, "replicates"))]
+    #[arg(long, value_name = "N", requires = "CreateFlags",
+        value_parser = number(2..=MAX_REPEATS, "replicates"))]
     repeats: Option<u32>,
     /// Subsets to film: `none`; `transitions`, those that show the explanation, filmed afterwards
     /// by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
-    #[arg(long, value_parser = enum_parser::<Record>(RECORDS))]
+    #[arg(long, requires = "CreateFlags", value_parser = enum_parser::<Record>(RECORDS))]
     record: Option<Record>,
     #[command(flatten)]
     create: CreateFlags,
@@ -79,7 +81,6 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         subject: "transition",
         purpose: Purpose::Explanation(explanation.clone()),
         record: arguments.record,
-        has_creation_flags: arguments.has_creation_flags(),
         must_exist: arguments.json,
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
@@ -114,15 +115,4 @@ fn next(
         Ok((row, replicates.collect()))
     };
     additions.map(row).collect()
-}
-
-impl ExplainArguments {
-    /// Returns true if a flag of the campaign to be created was given, such as `--budget`.
-    fn has_creation_flags(&self) -> bool {
-        self.budget.is_some()
-            || self.seed.is_some()
-            || self.exhaustive
-            || self.repeats.is_some()
-            || self.record.is_some()
-    }
 }

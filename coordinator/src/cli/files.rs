@@ -1,12 +1,14 @@
 //! Files named on the command line: size-limited reads and atomic writes.
 
-use std::fs::File;
+use std::fs::{File, Permissions};
 use std::io::{BufWriter, Read, Write};
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use benchmark::{CampaignSpec, ManifestRow, SuiteFile, manifest};
 use report::figures::Figure;
+use tempfile::NamedTempFile;
 use terminal::counted;
 
 use super::command::{CommandError, usage};
@@ -77,47 +79,41 @@ pub(super) fn write_figures(figures: &[Figure], folder: &Path) -> anyhow::Result
     Ok(())
 }
 
-/// Atomic writer: the data goes to `<path>.partial`, which [`AtomicFile::finish`] renames to the
-/// path. Dropping an unfinished writer deletes the partial file.
+/// Atomic writer: [`AtomicFile::finish`] renames a temporary file beside the path to the path.
+/// Dropping an unfinished writer deletes the temporary file.
 pub(super) struct AtomicFile {
     path: PathBuf,
-    partial: PathBuf,
-    file: Option<BufWriter<File>>,
+    file: BufWriter<NamedTempFile>,
 }
 
 impl AtomicFile {
     pub(super) fn create(path: &Path) -> anyhow::Result<AtomicFile> {
-        let mut partial = path.to_owned();
-        partial.as_mut_os_string().push(".partial");
-        // Removes the file of a killed command, or a link, which must not be written through.
-        let _ = std::fs::remove_file(&partial);
-        let file = File::create_new(&partial)
-            .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
-        Ok(AtomicFile { path: path.to_owned(), partial, file: Some(BufWriter::new(file)) })
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        // Reports are for others to read, too, as far as the user's mask allows.
+        let readable = Permissions::from_mode(0o666);
+        let file = tempfile::Builder::new()
+            .permissions(readable)
+            .tempfile_in(folder.unwrap_or(Path::new(".")))
+            // The error itself names the temporary file.
+            .map_err(|error| std::io::Error::from(error.kind()))
+            .with_context(|| format!("write {}: may this user write there?", path.display()))?;
+        Ok(AtomicFile { path: path.to_owned(), file: BufWriter::new(file) })
     }
 
     pub(super) fn writer(&mut self) -> &mut (impl Write + Send) {
-        self.file.as_mut().expect("taken only when finished")
+        &mut self.file
     }
 
-    /// Syncs the partial file to disk and renames it to its final path.
-    pub(super) fn finish(mut self) -> anyhow::Result<()> {
-        let (path, partial) = (self.path.display(), self.partial.display());
-        let file = self.file.take().expect("finished once");
-        let file = file.into_inner();
-        let file = file.with_context(|| format!("write the end of {partial}"))?;
-        let synced = file.sync_all();
-        synced.with_context(|| format!("write {partial} to the disk"))?;
-        std::fs::rename(&self.partial, &self.path)
-            .with_context(|| format!("move {partial} to {path}"))
-    }
-}
-
-impl Drop for AtomicFile {
-    fn drop(&mut self) {
-        // After `finish` no partial file exists; before it, the earlier error matters more than a
-        // failed deletion.
-        let _ = std::fs::remove_file(&self.partial);
+    /// Syncs the temporary file to disk and renames it to its final path.
+    pub(super) fn finish(self) -> anyhow::Result<()> {
+        let AtomicFile { path, file } = self;
+        let finish = || -> std::io::Result<()> {
+            let file = file.into_inner()?;
+            file.as_file().sync_all()?;
+            file.persist(&path)?;
+            Ok(())
+        };
+        finish().with_context(|| format!("write the end of {}", path.display()))
     }
 }
 
@@ -127,24 +123,4 @@ fn is_standard_input(path: &Path) -> bool {
 
 fn read_bounded(source: impl Read, text: &mut String) -> std::io::Result<usize> {
     source.take(MAX_INPUT_BYTES + 1).read_to_string(text)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_link_in_place_of_a_partial_file_is_replaced_and_not_followed() {
-        let folder = tempfile::tempdir().expect("a folder");
-        let linked = folder.path().join("linked");
-        std::fs::write(&linked, "another program's").expect("written");
-        let path = folder.path().join("report.json");
-        let partial = folder.path().join("report.json.partial");
-        std::os::unix::fs::symlink(&linked, &partial).expect("a link");
-        write_atomically(&path, b"{}").expect("written");
-        assert_eq!(std::fs::read(&path).expect("read"), b"{}");
-        assert!(!path.is_symlink() && !partial.exists());
-        let linked = std::fs::read(&linked).expect("read");
-        assert_eq!(linked, b"another program's");
-    }
 }

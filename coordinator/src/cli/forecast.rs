@@ -3,11 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use benchmark::{Condition, RolloutId};
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
 use proto::coordinator::{ForecastRequest, SuiteRollouts};
-use queue::expand::{NewCampaign, NewJob};
+use queue::expand::NewCampaign;
 use queue::read::Forecast;
 use serde::Serialize;
 use terminal::{counted, wrapped};
@@ -41,32 +40,6 @@ pub(super) async fn request_for_suites(
     };
     let answer = client.ask(request, Service::forecast).await;
     answer.map_err(|error| format!("failed to {error}"))
-}
-
-/// Hours that the rollouts of LIBERO-CTRL v0.1 took in the paper (arXiv 2609.15940): policy, 2,000
-/// nominal rollouts, 8,400 perturbed rollouts.
-const PAPER_HOURS: [(&str, f64, f64); 6] = [
-    ("MINERVA", 2.5, 13.4),
-    ("VLA-JEPA", 5.4, 18.0),
-    ("π0.5", 4.8, 19.6),
-    ("OpenVLA-OFT", 4.5, 21.7),
-    ("UniVLA", 19.9, 159.0),
-    ("SmolVLA", 54.0, 294.0),
-];
-
-/// Returns the hours that each of the paper's policies needed for as many nominal and perturbed
-/// rollouts as the campaign has.
-fn paper_hours(campaign: &NewCampaign) -> impl Iterator<Item = (&'static str, f64)> {
-    let is_nominal = |job: &&NewJob| {
-        job.rollout_id.parse().is_ok_and(|id: RolloutId| id.condition() == Condition::Nominal)
-    };
-    let nominal = campaign.jobs.iter().filter(is_nominal).count();
-    let perturbed = campaign.jobs.len() - nominal;
-    PAPER_HOURS.into_iter().map(move |(policy, of_nominal, of_perturbed)| {
-        let hours =
-            of_nominal * nominal as f64 / 2_000.0 + of_perturbed * perturbed as f64 / 8_400.0;
-        (policy, hours)
-    })
 }
 
 /// Describes a forecast, or the error that prevented it, for a terminal.
@@ -107,14 +80,6 @@ pub(super) fn describe(answer: &Result<Forecast, String>, policy: &str) -> Strin
     wrapped("", 2, &words)
 }
 
-/// Describes the paper's hours for a terminal.
-pub(super) fn describe_paper(campaign: &NewCampaign) -> String {
-    let hours: Vec<String> = paper_hours(campaign)
-        .map(|(policy, hours)| format!("{policy} {}", duration_text(3_600.0 * hours)))
-        .collect();
-    wrapped("", 2, &format!("as many rollouts took in the paper: {}", hours.join(", ")))
-}
-
 /// Prints a dry run as JSON: the campaign, its forecast and its planning.
 pub(super) fn print(
     campaign: &NewCampaign,
@@ -135,7 +100,6 @@ struct DryRun<'a> {
     planning: &'a [Planned],
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
-    paper_hours: BTreeMap<&'static str, f64>,
 }
 
 impl<'a> DryRun<'a> {
@@ -158,7 +122,6 @@ impl<'a> DryRun<'a> {
             planning,
             forecast,
             no_forecast,
-            paper_hours: paper_hours(campaign).collect(),
         }
     }
 }

@@ -1,9 +1,9 @@
-//! `coordinator jobs list|show|retry|skip`.
+//! `coordinator jobs`.
 
 use anyhow::anyhow;
 use benchmark::RolloutId;
-use clap::{Args, Subcommand};
-use coordinator::client::Service;
+use clap::{ArgGroup, Args};
+use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
 use proto::coordinator::{
     GetJobRequest, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
@@ -23,96 +23,60 @@ const PAGE_JOBS: u32 = 500;
 /// Longest error in a line of the list, bytes.
 const ERROR_BYTES: usize = 60;
 
-#[derive(Debug, Subcommand)]
-pub(super) enum JobsCommand {
-    /// List the rollouts of a campaign and their states.
-    List(ListArguments),
-    /// Show one rollout with all its attempts.
-    Show(ShowArguments),
-    /// Requeue rollouts that are in quarantine.
-    Retry(RetryArguments),
-    /// Skip rollouts that are waiting or running: they are quarantined without a charge, and
-    /// `jobs retry` requeues them.
-    Skip(SkipArguments),
-}
-
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
-  coordinator jobs list first --outcome failure --condition simultaneous
-  coordinator jobs list first --state quarantined
-  coordinator jobs list first --task libero_object/0 --level L2 --json";
+  coordinator jobs first --outcome failure --condition simultaneous
+  coordinator jobs first --task libero_object/0 --level L2 --json
+  coordinator jobs first object/t0/camera/L2/c03      # one with all its attempts
+  coordinator jobs first --retry                      # requeues all in quarantine";
 
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
-pub(super) struct ListArguments {
+#[command(group = ArgGroup::new("filters").multiple(true)
+    .conflicts_with_all(["rollouts", "retry", "skip"]))]
+pub(super) struct JobsArguments {
     /// Name of the campaign.
     campaign: String,
-    /// Only rollouts in this state.
-    #[arg(long, value_parser = ["queued", "leased", "committed", "quarantined"])]
+    /// Id of a rollout to be shown with all its attempts, or ids to requeue or to skip; `ID#r1` is
+    /// a second replicate. If omitted, the rollouts and their states are listed.
+    #[arg(value_name = "ROLLOUT")]
+    rollouts: Vec<String>,
+    /// Requeue the rollouts, or all that are in quarantine if none is named.
+    #[arg(long)]
+    retry: bool,
+    /// Skip the rollouts, which wait or run: they are quarantined without a charge, and --retry
+    /// requeues them.
+    #[arg(long, requires = "rollouts", conflicts_with = "retry")]
+    skip: bool,
+    /// List only rollouts in this state.
+    #[arg(long, group = "filters", value_parser = ["queued", "leased", "committed", "quarantined"])]
     state: Option<String>,
-    /// Only rollouts with this outcome.
-    #[arg(long, value_parser = ["success", "failure"])]
+    /// List only rollouts with this outcome.
+    #[arg(long, group = "filters", value_parser = ["success", "failure"])]
     outcome: Option<String>,
-    /// Only rollouts of a task, such as `libero_object/0`, or of a suite.
-    #[arg(long)]
+    /// List only rollouts of a task, such as `libero_object/0`, or of a suite.
+    #[arg(long, group = "filters")]
     task: Option<String>,
-    /// Only rollouts of a condition: `nominal`, `simultaneous`, an axis, or several axes
-    /// such as `camera+robot`.
-    #[arg(long, value_name = "CONDITION")]
+    /// List only rollouts of a condition: `nominal`, `simultaneous`, an axis, or several axes such
+    /// as `camera+robot`.
+    #[arg(long, group = "filters", value_name = "CONDITION")]
     condition: Option<String>,
-    /// Only rollouts of a level: `L2`, `r2.5`.
-    #[arg(long)]
+    /// List only rollouts of a level: `L2`, `r2.5`.
+    #[arg(long, group = "filters")]
     level: Option<String>,
     /// Most rollouts to list.
-    #[arg(long, default_value_t = 50, value_parser = number_from(1_u32, "rollouts"))]
+    #[arg(long, group = "filters", default_value_t = 50,
+        value_parser = number_from(1_u32, "rollouts"))]
     limit: u32,
     /// Print JSON, as docs/JSON.md describes it.
-    #[arg(long)]
+    #[arg(long, conflicts_with_all = ["retry", "skip"])]
     json: bool,
     #[command(flatten)]
     connection: Connection,
 }
 
-#[derive(Args, Debug)]
-pub(super) struct ShowArguments {
-    /// Name of the campaign.
-    campaign: String,
-    /// Rollout id; `ID#r1` is its second replicate.
-    rollout: String,
-    /// Print JSON, as docs/JSON.md describes it.
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    connection: Connection,
-}
-
-#[derive(Args, Debug)]
-pub(super) struct RetryArguments {
-    /// Name of the campaign.
-    campaign: String,
-    /// Rollout ids; `ID#r1` is a second replicate.
-    #[arg(required_unless_present = "all")]
-    rollouts: Vec<String>,
-    /// Requeue all rollouts in quarantine.
-    #[arg(long, conflicts_with = "rollouts")]
-    all: bool,
-    #[command(flatten)]
-    connection: Connection,
-}
-
-#[derive(Args, Debug)]
-pub(super) struct SkipArguments {
-    /// Name of the campaign.
-    campaign: String,
-    /// Rollout ids; `ID#r1` is a second replicate.
-    #[arg(required = true)]
-    rollouts: Vec<String>,
-    #[command(flatten)]
-    connection: Connection,
-}
-
-/// Output of `jobs list --json`.
+/// Output of `jobs CAMPAIGN --json`.
 #[derive(Default, Serialize)]
 struct Listed {
     jobs: Vec<JobLine>,
@@ -120,17 +84,36 @@ struct Listed {
     is_truncated: bool,
 }
 
-pub(super) async fn jobs(command: JobsCommand) -> Result<(), CommandError> {
-    match command {
-        JobsCommand::List(arguments) => list(arguments).await,
-        JobsCommand::Show(arguments) => show(arguments).await,
-        JobsCommand::Retry(arguments) => retry(arguments).await,
-        JobsCommand::Skip(arguments) => skip(arguments).await,
+pub(super) async fn jobs(arguments: JobsArguments) -> Result<(), CommandError> {
+    let names = arguments.rollouts.iter().map(|id| job_name(id));
+    let jobs: Vec<JobName> = names.collect::<Result<_, _>>()?;
+    let client = arguments.connection.client()?;
+    let campaign = arguments.campaign.clone();
+    if arguments.skip {
+        let request = SkipJobsRequest { campaign, jobs };
+        let skipped = counted(client.ask(request, Service::skip_jobs).await?, "rollout");
+        return Ok(print_line(&format!("{skipped} skipped"))?);
+    }
+    if arguments.retry {
+        let request = RetryJobsRequest { campaign, all: jobs.is_empty(), jobs };
+        return Ok(print_line(&match client.ask(request, Service::retry_jobs).await? {
+            0 => "nothing is in quarantine".to_owned(),
+            jobs => format!("{} requeued", counted(jobs, "rollout")),
+        })?);
+    }
+    match <[JobName; 1]>::try_from(jobs) {
+        Ok([job]) => {
+            show(&client, GetJobRequest { campaign, job: Some(job) }, arguments.json).await
+        }
+        Err(none) if none.is_empty() => list(&client, arguments).await,
+        Err(_) => Err(usage(anyhow!(
+            "show rollouts of campaign `{campaign}`: one at a time; name one, or pass --retry or \
+             --skip"
+        ))),
     }
 }
 
-async fn list(arguments: ListArguments) -> Result<(), CommandError> {
-    let client = arguments.connection.client()?;
+async fn list(client: &Client, arguments: JobsArguments) -> Result<(), CommandError> {
     let mut request = ListJobsRequest {
         campaign: arguments.campaign,
         state: arguments.state.unwrap_or_default(),
@@ -167,36 +150,12 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     }
 }
 
-async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
-    let client = arguments.connection.client()?;
-    let request =
-        GetJobRequest { job: Some(job_name(&arguments.rollout)?), campaign: arguments.campaign };
+async fn show(client: &Client, request: GetJobRequest, json: bool) -> Result<(), CommandError> {
     let (now, details) = client.ask_at(request, Service::get_job).await?;
-    match arguments.json {
+    match json {
         true => json::print(&details),
         false => Ok(print_line(&describe_job(&details, now)?)?),
     }
-}
-
-async fn retry(arguments: RetryArguments) -> Result<(), CommandError> {
-    let names: Result<Vec<JobName>, CommandError> =
-        arguments.rollouts.iter().map(|id| job_name(id)).collect();
-    let request =
-        RetryJobsRequest { campaign: arguments.campaign, jobs: names?, all: arguments.all };
-    let client = arguments.connection.client()?;
-    Ok(print_line(&match client.ask(request, Service::retry_jobs).await? {
-        0 => "nothing is in quarantine".to_owned(),
-        jobs => format!("{} requeued", counted(jobs, "rollout")),
-    })?)
-}
-
-async fn skip(arguments: SkipArguments) -> Result<(), CommandError> {
-    let names: Result<Vec<JobName>, CommandError> =
-        arguments.rollouts.iter().map(|id| job_name(id)).collect();
-    let request = SkipJobsRequest { campaign: arguments.campaign, jobs: names? };
-    let client = arguments.connection.client()?;
-    let skipped = counted(client.ask(request, Service::skip_jobs).await?, "rollout");
-    Ok(print_line(&format!("{skipped} skipped"))?)
 }
 
 /// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.

@@ -68,7 +68,7 @@ pub(super) fn operator_notes(status: &CampaignStatus) -> Option<String> {
     if status.rollouts.quarantined > 0 {
         notes.push(format!(
             "{} in quarantine (failed too often, or skipped): \
-             `coordinator jobs list {} --state quarantined`",
+             `coordinator jobs {} --state quarantined`",
             status.rollouts.quarantined, status.name
         ));
     }
@@ -157,7 +157,7 @@ mod tests {
             "demo ███████████████░ 137/140 97%  finished but for 3 in quarantine"
         );
         let note = operator_notes(&status).expect("a note");
-        assert!(note.contains("coordinator jobs list demo --state quarantined"));
+        assert!(note.contains("coordinator jobs demo --state quarantined"));
     }
 
     #[test]

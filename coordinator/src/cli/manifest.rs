@@ -1,42 +1,36 @@
-//! `coordinator manifest`: expands, checks and compares manifest files without a coordinator. The
+//! `coordinator manifest`: checks, compares and expands manifest files without a coordinator. The
 //! manifest format and the comparison are implemented in `benchmark`.
 
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use benchmark::{Design, DesignVersion, ManifestRow, manifest};
-use clap::{ArgGroup, Args, Subcommand, ValueEnum};
+use clap::{ArgGroup, Args, ValueEnum};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};
 use super::files::{input_name, read_manifest, read_spec, write_atomically};
 
-#[derive(Debug, Subcommand)]
-pub(super) enum ManifestCommand {
-    /// Write the rows of a design as JSON Lines, in the order in which they
-    /// would run.
-    Expand(ExpandArguments),
-    /// Check a manifest line by line.
-    Check {
-        /// The manifest; `-` reads standard input.
-        file: PathBuf,
-    },
-    /// List the rows and columns in which two manifests differ.
-    Diff {
-        /// The first manifest.
-        first: PathBuf,
-        /// The second manifest.
-        second: PathBuf,
-    },
-}
+/// Printed below the long help.
+const EXAMPLES: &str = "\
+Examples:
+  coordinator manifest --version v0.1 --output v01.jsonl
+  coordinator manifest v01.jsonl                      # checks it line by line
+  coordinator manifest v01.jsonl edited.jsonl         # lists the differences";
 
 #[derive(Args, Debug)]
-#[command(group = ArgGroup::new("source").required(true).args(["version", "spec"]))]
-pub(super) struct ExpandArguments {
-    /// A published design of LIBERO-CTRL.
+#[command(after_long_help = EXAMPLES)]
+#[command(group = ArgGroup::new("source").required(true).args(["files", "version", "spec"]))]
+pub(super) struct ManifestArguments {
+    /// A manifest to check line by line, or two to compare by rows and columns; `-` reads standard
+    /// input.
+    #[arg(value_name = "FILE", num_args = 1..=2, conflicts_with_all = ["split", "output"])]
+    files: Vec<PathBuf>,
+    /// Expand a published design of LIBERO-CTRL into its rows as JSON Lines, in the order in which
+    /// they would run.
     #[arg(long, value_name = "VERSION", value_parser = ["v0.1"])]
     version: Option<String>,
-    /// File of a campaign's specification in JSON, to expand its design; `-` reads standard input.
+    /// Expand the design of a campaign's specification in JSON; `-` reads standard input.
     #[arg(long, value_name = "FILE")]
     spec: Option<PathBuf>,
     /// Rows to write: `nominal`; `eval`, the perturbed rows; or `all`.
@@ -56,15 +50,15 @@ enum Split {
     All,
 }
 
-pub(super) fn manifest(command: ManifestCommand) -> Result<(), CommandError> {
-    match command {
-        ManifestCommand::Expand(arguments) => expand(&arguments),
-        ManifestCommand::Check { file } => check(&file),
-        ManifestCommand::Diff { first, second } => diff(&first, &second),
+pub(super) fn manifest(arguments: &ManifestArguments) -> Result<(), CommandError> {
+    match arguments.files.as_slice() {
+        [] => expand(arguments),
+        [file] => check(file),
+        [first, second, ..] => diff(first, second),
     }
 }
 
-fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
+fn expand(arguments: &ManifestArguments) -> Result<(), CommandError> {
     let rows = match &arguments.spec {
         Some(path) => read_spec(path)?.expand().map_err(usage)?,
         None => Design::v0_1().expand().context("expand v0.1")?,

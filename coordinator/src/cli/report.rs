@@ -16,19 +16,18 @@ use super::files::{AtomicFile, write_atomically, write_figures};
 const EXAMPLES: &str = "\
 Examples:
   coordinator report first
+  coordinator report first examples/openvla_oft
   coordinator report first --full --html report.html --table outcomes.csv
   coordinator report goal --published libero_goal:openvla=97.1";
 
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct ReportArguments {
-    /// Names of campaigns; several are shown side by side.
-    #[arg(required_unless_present = "from")]
-    campaigns: Vec<String>,
-    /// Folders that each hold the `rollouts.jsonl` of one policy, from the reference
-    /// implementation or from `export`; or such files.
-    #[arg(long, value_name = "DIR", num_args = 1..)]
-    from: Vec<PathBuf>,
+    /// Names of campaigns; or folders that each hold the `rollouts.jsonl` of one policy, from the
+    /// reference implementation or from `export`, or such files, whose paths have a `/`. Several
+    /// are shown side by side.
+    #[arg(value_name = "CAMPAIGN_OR_PATH", required = true)]
+    sources: Vec<String>,
     /// Print every measure with its interval, and the meaning of each symbol.
     #[arg(long)]
     full: bool,
@@ -70,16 +69,7 @@ enum TableForm {
 }
 
 pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
-    let mut subjects = Vec::new();
-    if !arguments.campaigns.is_empty() {
-        let client = arguments.connection.client()?;
-        for campaign in &arguments.campaigns {
-            subjects.push(client.report(campaign).await?);
-        }
-    }
-    for path in &arguments.from {
-        subjects.push(report::import(path).map_err(usage)?);
-    }
+    let mut subjects = arguments.connection.subjects(&arguments.sources).await?;
     add_published(&mut subjects, &arguments.published).map_err(usage)?;
     let ctrl_flags = [
         ("--figures", arguments.figures.is_some()),

@@ -46,13 +46,12 @@ pub(super) struct Search<'a> {
     pub(super) purpose: Purpose,
     /// Rollouts to film; `None` stands for the setting of the source campaign.
     pub(super) record: Option<Record>,
-    /// True if flags were given that apply only to a campaign to be created.
-    pub(super) has_creation_flags: bool,
     /// True if a missing campaign is an error unless a flag requests its creation or a dry run.
     pub(super) must_exist: bool,
 }
 
-/// Flags that determine whether the search is run.
+/// Flags that determine whether the search is run. Those for a campaign to be created require
+/// either of them by the name of this type.
 #[derive(Args, Clone, Copy, Debug)]
 pub(super) struct CreateFlags {
     /// Create the campaign that runs the rollouts, unless it exists, and add rollouts until nothing
@@ -79,12 +78,6 @@ impl Search<'_> {
         let exists = self.exists(client).await?;
         let command = format!("coordinator {} {}", self.command, self.source);
         if !flags.create && !flags.dry_run {
-            if self.has_creation_flags {
-                return Err(usage(anyhow!(
-                    "read `{command}`: flags for a campaign to be created need --create, or \
-                     --dry-run to print its size"
-                )));
-            }
             if exists {
                 return Ok(Some(client.report(self.name).await?));
             }

@@ -1,5 +1,5 @@
-//! `coordinator campaign list` and `coordinator campaign status`: progress of campaigns, in one
-//! line of at most 79 columns each, and details. `--watch` is implemented in `watch`.
+//! `coordinator campaign status`: all campaigns, in one line of at most 79 columns each, or the
+//! details of one. `--watch` is implemented in `watch`.
 
 use std::collections::BTreeMap;
 
@@ -20,17 +20,8 @@ use super::workers::{describe_filming, filming};
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
 
 #[derive(Args, Debug)]
-pub(super) struct ListArguments {
-    /// Print JSON, as docs/JSON.md describes it.
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    connection: Connection,
-}
-
-#[derive(Args, Debug)]
 pub(super) struct StatusArguments {
-    /// Name of the campaign; all campaigns if omitted.
+    /// Name of the campaign; all campaigns, in a line each, if omitted.
     campaign: Option<String>,
     /// Follow the progress until the campaign is finished, or all campaigns if none is named.
     #[arg(long)]
@@ -40,23 +31,6 @@ pub(super) struct StatusArguments {
     json: bool,
     #[command(flatten)]
     connection: Connection,
-}
-
-pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
-    let campaigns = arguments.connection.client()?.list_campaigns().await?;
-    if arguments.json {
-        return print_json(campaigns);
-    }
-    if campaigns.is_empty() {
-        return Ok(print_line(NO_CAMPAIGNS)?);
-    }
-    for status in &campaigns {
-        print_line(&line(status))?;
-        if let Some(notes) = operator_notes(status) {
-            print_line(&format!("  {notes}"))?;
-        }
-    }
-    Ok(())
 }
 
 pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandError> {
@@ -73,7 +47,10 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
-    let mut text: Vec<String> = campaigns.iter().map(details).collect();
+    let mut text: Vec<String> = match name {
+        Some(_) => campaigns.iter().map(details).collect(),
+        None => campaigns.iter().map(brief).collect(),
+    };
     if let Some(name) = name {
         text.extend(failing(&client, name).await?);
     }
@@ -114,6 +91,12 @@ async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, Comm
             worst.last_error.as_deref().unwrap_or_default()
         ),
     )))
+}
+
+/// Formats the progress of a campaign in one line, with its notes below.
+fn brief(status: &CampaignStatus) -> String {
+    let notes = operator_notes(status).map(|notes| format!("\n  {notes}"));
+    line(status) + &notes.unwrap_or_default()
 }
 
 /// Formats the full status of a campaign, one line per quantity.

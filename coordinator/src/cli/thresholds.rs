@@ -33,20 +33,22 @@ pub(super) struct ThresholdsArguments {
     name: Option<String>,
     /// Axes, each alone, and `simultaneous` for all axes at once. [default: all conditions of the
     /// campaign]
-    #[arg(long, value_name = "AXES", value_delimiter = ',', value_parser = condition)]
+    #[arg(long, value_name = "AXES", value_delimiter = ',', requires = "CreateFlags",
+        value_parser = condition)]
     axes: Vec<Condition>,
     /// Largest width of the bracket between success and failure, in units of radius. [default: 0.5]
-    #[arg(long, value_name = "R", value_parser = radius(TOLERANCES))]
+    #[arg(long, value_name = "R", requires = "CreateFlags", value_parser = radius(TOLERANCES))]
     tolerance: Option<f64>,
     /// The largest radius that is run. [default: 16]
-    #[arg(long, value_name = "R", value_parser = radius(MAX_RADII))]
+    #[arg(long, value_name = "R", requires = "CreateFlags", value_parser = radius(MAX_RADII))]
     max_radius: Option<f64>,
     /// Maximum number of rollouts, spent on configurations in random order; if omitted, every
     /// configuration is measured.
-    #[arg(long, value_name = "N", value_parser = number(1..=u32::MAX, "rollouts"))]
+    #[arg(long, value_name = "N", requires = "CreateFlags",
+        value_parser = number(1..=u32::MAX, "rollouts"))]
     budget: Option<u32>,
     /// Seed of the random order in which configurations are measured. [default: 0]
-    #[arg(long, value_parser = number_from(0_u64, ""))]
+    #[arg(long, requires = "CreateFlags", value_parser = number_from(0_u64, ""))]
     seed: Option<u64>,
     #[command(flatten)]
     create: CreateFlags,
@@ -72,7 +74,6 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         subject: "threshold",
         purpose: Purpose::Thresholds(thresholds.clone()),
         record: Some(Record::None),
-        has_creation_flags: arguments.has_creation_flags(),
         must_exist: arguments.json || arguments.figures.is_some(),
     };
     let prospect = |source: &Subject| {
@@ -115,12 +116,6 @@ fn next(
 }
 
 impl ThresholdsArguments {
-    /// Returns true if a flag of the campaign to be created was given, such as `--tolerance`.
-    fn has_creation_flags(&self) -> bool {
-        let has_radius_flags = self.tolerance.or(self.max_radius).is_some();
-        has_radius_flags || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
-    }
-
     fn thresholds(&self) -> Thresholds {
         let mut conditions = self.axes.clone();
         conditions.sort();

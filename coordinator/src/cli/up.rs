@@ -27,7 +27,6 @@ use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
 use super::command::{CommandError, print_line, usage};
-use super::siblings::sibling;
 
 /// Interval between two polls for an exited child process.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -375,6 +374,23 @@ fn terminate(child: &Child) {
     }
 }
 
+/// Returns the path of a program in this program's folder.
+fn sibling(name: &str) -> anyhow::Result<PathBuf> {
+    let executable = std::env::current_exe().context("find this program's own file")?;
+    let path = executable.with_file_name(name);
+    match path.is_file() {
+        true => Ok(path),
+        false => {
+            let error = anyhow!(
+                "{} is not there; the release archive has all programs in one folder, and \
+                 `cargo build --workspace --bins` builds them in a checkout",
+                path.display()
+            );
+            Err(error.context(format!("find `{name}` beside this program")))
+        }
+    }
+}
+
 /// Describes an exit status as a predicate, to follow "it" or a program name.
 fn describe_exit(status: ExitStatus) -> String {
     match status.code() {
@@ -406,35 +422,4 @@ async fn relay(
 fn print_prefixed(name: &str, text: &str) {
     let name = name.strip_prefix("policy-").unwrap_or(name);
     terminal::complain(&format!("{name:<NAME_COLUMNS$} | {text}"));
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_startup_message_names_the_served_policy_and_addresses() {
-        let arguments = UpArguments {
-            data: "data".into(),
-            routes: vec!["mine=grpc://gpu:5000".to_owned()],
-            assets: "primitives".to_owned(),
-            look: Look::default(),
-            slots: "1".to_owned(),
-            listen: "127.0.0.1:0".parse().expect("an address"),
-            gateway_listen: "127.0.0.1:0".parse().expect("an address"),
-        };
-        let text = startup_message(&arguments, "127.0.0.1:4000", "127.0.0.1:4001");
-        for part in [
-            "--policy mine",
-            "--endpoint http://127.0.0.1:4001",
-            "coordinator report first --connect http://127.0.0.1:4000",
-        ] {
-            assert!(text.contains(part), "{part}: {text}");
-        }
-        assert!(text.lines().all(|line| line.chars().count() <= 100), "{text}");
-        // The message fits a terminal together with the log's first lines.
-        assert!(text.lines().count() <= 24, "{text}");
-        let default_message = startup_message(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
-        assert!(!default_message.contains("--connect"), "{default_message}");
-    }
 }

@@ -1,7 +1,6 @@
 //! `coordinator workers`.
 
 use std::collections::BTreeMap;
-use std::time::Duration;
 
 use clap::Args;
 use coordinator::client::{Client, Service};
@@ -14,12 +13,9 @@ use terminal::counted;
 use super::command::{CommandError, Connection, print_line};
 use super::json;
 
-/// Time for which `--all` lists a worker after its last call.
-const LISTED_AFTER_DEPARTURE: Duration = Duration::from_secs(7 * 86_400);
-
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {
-    /// List departed workers, too; without --json, only those whose last call was within a week.
+    /// List departed workers, too.
     #[arg(long)]
     all: bool,
     /// Print JSON, as docs/JSON.md describes it.
@@ -33,26 +29,18 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let (now, workers) = list(&client).await?;
     let (alive, departed): (Vec<_>, Vec<_>) = workers.into_iter().partition(|line| line.is_alive);
+    let hidden = if arguments.all { 0 } else { departed.len() };
+    let shown = alive.into_iter().chain(departed.into_iter().filter(|_| arguments.all));
     if arguments.json {
-        let shown = alive.into_iter().chain(departed.into_iter().filter(|_| arguments.all));
         let shown = shown.map(|worker| WorkerLine { filming: None, ..worker });
         return json::print(&BTreeMap::from([("workers", shown.collect::<Vec<_>>())]));
     }
-    let (recent, older): (Vec<_>, Vec<_>) =
-        departed.iter().partition(|worker| now.since(worker.last_call_at) < LISTED_AFTER_DEPARTURE);
-    let shown = alive.iter().chain(recent.iter().copied().filter(|_| arguments.all));
-    let mut lines: Vec<String> = shown.map(|worker| describe_worker(worker, now)).collect();
+    let mut lines: Vec<String> = shown.map(|worker| describe_worker(&worker, now)).collect();
     if lines.is_empty() {
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
-    if !arguments.all && !recent.is_empty() {
-        lines.push(format!("{} departed: --all shows them", recent.len()));
-    }
-    if arguments.all && !older.is_empty() {
-        lines.push(format!(
-            "{} without a call for a week or more: --all --json lists them too",
-            counted(older.len() as u64, "worker")
-        ));
+    if hidden > 0 {
+        lines.push(format!("{hidden} departed: --all shows them"));
     }
     Ok(print_line(&lines.join("\n"))?)
 }

@@ -68,7 +68,7 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
                 (through the machine, the simulator, or answers of the policy that broke the \
                 protocol), took their policy or their workers down, or were skipped. Rates leave \
                 them out; the report gives bounds on the measures. "
-                code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries a rollout."
+                code { "coordinator jobs CAMPAIGN ROLLOUT --retry" } " retries a rollout."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
                 p { "The first " (MAX_QUARANTINED) " rollouts are shown." }

@@ -216,7 +216,7 @@ fn list_over_tls(guarded: &GuardedCoordinator, ca: &Path) -> Output {
     let tokens = guarded.folder.path().join("tokens");
     let (ca, tokens) = (ca.to_str().expect("UTF-8"), tokens.to_str().expect("UTF-8"));
     let url = format!("https://localhost:{port}");
-    let list = ["campaign", "list", "--connect", &url, "--retry-secs", "1"];
+    let list = ["campaign", "status", "--connect", &url, "--retry-secs", "1"];
     coordinator(&[&list[..], &["--ca", ca, "--token-file", tokens]].concat())
 }
 
@@ -260,7 +260,7 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let serve = Serve::start_with(folder.path(), flags, Stdio::null());
         let listed = Command::new(env!("CARGO_BIN_EXE_coordinator"))
-            .args(["campaign", "list", "--connect", &serve.url])
+            .args(["campaign", "status", "--connect", &serve.url])
             .env_clear()
             .current_dir("/")
             .uid(NOBODY)
@@ -270,7 +270,7 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
         let message = text(&listed.stderr);
         assert_eq!(listed.status.success(), is_allowed, "{message}");
         assert_eq!(message.contains("--insecure-loopback"), !is_allowed, "{message}");
-        serve.run(&["campaign", "list"], 0, &[]);
+        serve.run(&["campaign", "status"], 0, &[]);
     }
 }
 
@@ -291,7 +291,7 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
     let with_tokens = ["serve", "--data", data_text, "--token-file", tokens_text];
     let with_key =
         ["serve", "--data", data_text, "--tls-cert", certificate_text, "--tls-key", key_text];
-    let as_client = ["campaign", "list", "--token-file", tokens_text];
+    let as_client = ["campaign", "status", "--token-file", tokens_text];
     for (arguments, exposed) in
         [(&with_tokens[..], &tokens), (&with_key[..], &key), (&as_client[..], &tokens)]
     {

@@ -3,7 +3,6 @@
 //!
 //! While a coordinator runs, its clock never goes back (`queue::clock`).
 
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -197,85 +196,4 @@ async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_ful
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     assert_eq!(worker.claim(64).await.len(), 5, "failed jobs are leased again, too");
     assert_sound(bench.stop().await.path()).await;
-}
-
-/// Source files that read the system's clock or the modification times of files, each with the
-/// effect of a clock jump.
-const OTHER_CLOCKS: [(&str, &str); 8] = [
-    (
-        "crates/policy-backends/src/websocket.rs",
-        "a timestamp for a server's log; nothing depends on it",
-    ),
-    (
-        "crates/queue/src/clock.rs",
-        "read once at the start; the tests above simulate jumps of this clock",
-    ),
-    (
-        "crates/queue/src/operations/local_videos.rs",
-        "compared for equality: a file that was written again counts as a different file",
-    ),
-    (
-        "crates/scene/src/assets/verify.rs",
-        "compared for equality: a file with another instant is verified again",
-    ),
-    (
-        "crates/scene/src/task.rs",
-        "compared for equality: task files with another instant are checked and compiled again",
-    ),
-    (
-        "crates/sim/src/scene_files.rs",
-        "compared for equality: a program with another instant compiles scenes again",
-    ),
-    (
-        "crates/sim/src/scene_files/evict.rs",
-        "orders compiled scenes by their last use: a jump changes which scene is evicted",
-    ),
-    (
-        "crates/sim/src/scene_files/folder.rs",
-        "compared for equality: a file that was written again counts as a different file",
-    ),
-];
-
-/// Collects the paths of Rust sources below a folder, except those of tests, fuzzing and `xtask`.
-fn sources(folder: &Path, paths: &mut Vec<PathBuf>) {
-    for entry in std::fs::read_dir(folder).expect("a folder") {
-        let entry = entry.expect("an entry");
-        let (path, name) = (entry.path(), entry.file_name());
-        let is_left_out = ["target", "tests", "fuzz", "xtask"].iter().any(|folder| name == *folder);
-        let is_hidden = name.as_encoded_bytes().starts_with(b".");
-        if entry.file_type().expect("a type").is_dir() {
-            if !is_left_out && !is_hidden {
-                sources(&path, paths);
-            }
-        } else if path.extension().is_some_and(|extension| extension == "rs") {
-            paths.push(path);
-        }
-    }
-}
-
-#[test]
-fn every_file_that_reads_another_clock_is_listed() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().expect("a root");
-    let mut files = Vec::new();
-    sources(root, &mut files);
-    // Tests set the times of files, but no decision depends on them.
-    files.retain(|path| !path.ends_with("tests.rs"));
-    assert!(files.len() > 300, "{} files", files.len());
-    let reads = |path: &PathBuf| {
-        let text = std::fs::read_to_string(path).expect("a source");
-        ["SystemTime", ".mtime(", ".modified()", "now_utc(", "now_local("]
-            .iter()
-            .any(|word| text.contains(word))
-    };
-    let files_with_clocks = files.iter().filter(|path| reads(path));
-    let mut files_with_clocks: Vec<&str> = files_with_clocks
-        .map(|path| path.strip_prefix(root).expect("a path below the root"))
-        .map(|path| path.to_str().expect("UTF-8"))
-        .collect();
-    files_with_clocks.sort_unstable();
-    assert_eq!(
-        files_with_clocks,
-        OTHER_CLOCKS.map(|(file, _)| file),
-        "list new files in OTHER_CLOCKS"
-    );
 }

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
 use crate::page::http;
-use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
+use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// The published outcomes of OpenVLA-OFT.
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
@@ -82,10 +82,9 @@ async fn compare_takes_a_and_b_in_command_line_order() {
     succeed(serve.command(&["export", "a", "--format", "jsonl", "--output", &rows]));
 
     let file = folder.path().to_string_lossy();
-    for (arguments, is_file_first) in [
-        (["compare", "--from", &file, "a", "--json"], true),
-        (["compare", "a", "--from", &file, "--json"], false),
-    ] {
+    for (arguments, is_file_first) in
+        [(["compare", &file, "a", "--json"], true), (["compare", "a", &file, "--json"], false)]
+    {
         let json = succeed_in_json(serve.command(&arguments));
         assert_eq!(json["a"]["origin"]["file"].is_object(), is_file_first, "{json}");
         let warning = json["warnings"][0].as_str().expect("a warning");
@@ -96,23 +95,11 @@ async fn compare_takes_a_and_b_in_command_line_order() {
     }
 
     // The published outcomes have another realisation mode.
-    let output = serve.command(&["compare", "a", "--from", EXAMPLE]);
+    let output = serve.command(&["compare", "a", EXAMPLE]);
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
     assert!(error.contains("different realisation modes"), "{error}");
     assert!(text(&output.stdout).is_empty());
-}
-
-#[test]
-fn an_invalid_compare_command_exits_with_2_and_the_remedy() {
-    let check = |arguments: &[&str], words: &str| {
-        let error = &fail(coordinator(arguments), 2);
-        assert!(error.contains(words), "{words}: {error}");
-    };
-    check(&["compare"], "CAMPAIGN");
-    check(&["compare", "--from", EXAMPLE], "two campaigns");
-    check(&["compare", "one"], "two campaigns");
-    check(&["compare", "one", "two", "--from", EXAMPLE], "two campaigns");
 }
 
 /// Returns the comparison that `coordinator compare` makes of two campaigns of a bench.

@@ -54,7 +54,7 @@ async fn results_reports_and_tables_carry_the_execution_model() {
     let rows = folder.path().join("rollouts.jsonl");
     let (path, from) = (rows.to_string_lossy(), folder.path().to_string_lossy());
     succeed(serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]));
-    let read = coordinator(&["report", "--from", &from, "--json"]);
+    let read = coordinator(&["report", &from, "--json"]);
     assert_eq!(parse_json(&read.stdout)["reports"][0]["execution"], MODEL);
 }
 
@@ -76,7 +76,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
 
     let (spec, rows) = (path("late.json"), path("late.jsonl"));
     std::fs::write(&spec, run(&["--print-spec"])).expect("written");
-    succeed(coordinator(&["manifest", "expand", "--spec", &spec, "--output", &rows]));
+    succeed(coordinator(&["manifest", "--spec", &spec, "--output", &rows]));
     let written = std::fs::read_to_string(&rows).expect("written");
     let column = format!(r#""execution":"{MODEL}""#);
     assert!(written.lines().all(|line| line.contains(&column)));
@@ -190,6 +190,6 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let words: Vec<&str> = message.split_whitespace().collect();
     let part = "the arm holds still in rollouts in which overlap:10 drops every action";
     assert!(words.join(" ").contains(part), "{message}");
-    let listed = serve.command(&["campaign", "list"]);
+    let listed = serve.command(&["campaign", "status"]);
     assert!(!text(&listed.stdout).contains("late"), "{}", text(&listed.stdout));
 }

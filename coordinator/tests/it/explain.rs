@@ -155,13 +155,13 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
             assert!(!output.status.success() && error.contains(words), "{error}");
         };
         refused(&["--json"], "--create` creates it");
-        refused(&["--budget", "100"], "need --create");
+        refused(&["--budget", "100"], "--create|--dry-run");
     }
     let output = serve.command(&["explain", "first"]);
     // Six transitions with six axes: 56 subsets each.
     let words = text(&output.stdout);
     assert!(words.contains("at most 336 rollouts for 6 transitions"), "{words}");
-    let campaigns = serve.command(&["campaign", "list", "--json"]);
+    let campaigns = serve.command(&["campaign", "status", "--json"]);
     let campaigns: Value = serde_json::from_slice(&campaigns.stdout).expect("JSON");
     assert_eq!(campaigns["campaigns"].as_array().map(Vec::len), Some(1));
 }
@@ -191,7 +191,7 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
     refused(&delete, "campaign `first-explained` is derived from it");
 
-    succeed(serve.command(&["campaign", "rename", "first", "final"]));
+    succeed(serve.command(&["campaign", "set", "first", "--name", "final"]));
     succeed(serve.command(&["explain", "final", "--name", "first-explained"]));
 
     let spec = json!({
@@ -238,7 +238,7 @@ async fn a_search_waits_for_its_source_and_needs_one_that_can_finish() {
         "{status}"
     );
 
-    succeed(serve.command(&["campaign", "rename", "first", "steady"]));
+    succeed(serve.command(&["campaign", "set", "first", "--name", "steady"]));
     create(&serve);
     succeed(serve.command(&["campaign", "cancel", "first"]));
     let error = fail(serve.command(&["explain", "first", "--create", "--name", "never"]), 1);

@@ -288,7 +288,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     assert_eq!(check(target.path()).await.expect("a database"), []);
 
     let restarted = Serve::start(target.path());
-    let listed = restarted.command(&["campaign", "list", "--json"]);
+    let listed = restarted.command(&["campaign", "status", "--json"]);
     let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
     assert_eq!(listed["campaigns"], json!([]), "an incomplete campaign is listed");
     while counts(target.path()).await != (0, 0) {

@@ -7,7 +7,6 @@ use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use serde_json::{Value, json};
 
-use crate::assertions::assert_contains;
 pub(crate) use crate::json_keys::{documented, keys};
 use crate::process::{CREATE, Serve, fits_a_terminal, succeed, text};
 
@@ -51,26 +50,23 @@ async fn json_output_has_the_documented_keys() {
     assert_eq!(worker.commit(&leases[2], false).await, Verdict::Accepted);
     worker.claim(1).await;
 
-    for command in ["campaign list", "campaign status"] {
-        let arguments: Vec<&str> = command.split(' ').collect();
-        let printed = Printed::run(&serve, &arguments);
-        printed.assert_keys("campaign list");
-        let campaign = &printed.0["campaigns"][0];
-        assert_eq!(campaign["name"], "demo");
-        assert_eq!(campaign["state"], "running");
-        assert_eq!(campaign["rollouts"]["total"], 14);
-        assert_eq!(campaign["rollouts"]["failed"], 1);
-        assert_eq!(campaign["policy_outage"], Value::Null);
-        let created = campaign["created_at"].as_str().expect("an instant");
-        let example = "2026-11-21T15:36:09.123Z";
-        assert_eq!((created.len(), &created[10..11]), (example.len(), "T"));
-        assert!(created.ends_with('Z'));
-    }
+    let printed = Printed::run(&serve, &["campaign", "status"]);
+    printed.assert_keys("campaign status");
+    let campaign = &printed.0["campaigns"][0];
+    assert_eq!(campaign["name"], "demo");
+    assert_eq!(campaign["state"], "running");
+    assert_eq!(campaign["rollouts"]["total"], 14);
+    assert_eq!(campaign["rollouts"]["failed"], 1);
+    assert_eq!(campaign["policy_outage"], Value::Null);
+    let created = campaign["created_at"].as_str().expect("an instant");
+    let example = "2026-11-21T15:36:09.123Z";
+    assert_eq!((created.len(), &created[10..11]), (example.len(), "T"));
+    assert!(created.ends_with('Z'));
     let early_status = Printed::run(&serve, &["campaign", "status", "early"]);
-    early_status.assert_keys("campaign list");
+    early_status.assert_keys("campaign status");
 
-    let jobs = Printed::run(&serve, &["jobs", "list", "demo"]);
-    jobs.assert_keys("jobs list");
+    let jobs = Printed::run(&serve, &["jobs", "demo"]);
+    jobs.assert_keys("jobs NAME");
     assert_eq!(jobs.0["is_truncated"], false);
     let jobs = jobs.0["jobs"].as_array().expect("a list").clone();
     assert_eq!(jobs.len(), 14);
@@ -82,8 +78,8 @@ async fn json_output_has_the_documented_keys() {
         assert_eq!(job["lease_left_secs"].is_number(), is_leased, "{job}");
         assert_eq!(job["outcome"].is_string(), job["state"] == "committed");
     }
-    let truncated = Printed::run(&serve, &["jobs", "list", "demo", "--limit", "2"]);
-    truncated.assert_keys("jobs list");
+    let truncated = Printed::run(&serve, &["jobs", "demo", "--limit", "2"]);
+    truncated.assert_keys("jobs NAME");
     assert_eq!(truncated.0["is_truncated"], true);
     assert_eq!(truncated.0["jobs"].as_array().map(Vec::len), Some(2));
 
@@ -91,9 +87,9 @@ async fn json_output_has_the_documented_keys() {
     let mut shown = BTreeSet::new();
     for job in &jobs {
         let id = job["rollout_id"].as_str().expect("an id");
-        keys(&Printed::run(&serve, &["jobs", "show", "demo", id]).0, "", &mut shown);
+        keys(&Printed::run(&serve, &["jobs", "demo", id]).0, "", &mut shown);
     }
-    assert_eq!(shown, documented("jobs show"));
+    assert_eq!(shown, documented("jobs NAME ROLLOUT"));
 
     let dry = [&CREATE[..], &["--dry-run"]].concat();
     let dry = Printed::run(&serve, &dry);
@@ -109,8 +105,8 @@ async fn json_output_has_the_documented_keys() {
     assert_eq!(workers.0["workers"][0]["is_alive"], true);
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    let outage = Printed::run(&serve, &["campaign", "list"]);
-    outage.assert_keys("campaign list");
+    let outage = Printed::run(&serve, &["campaign", "status"]);
+    outage.assert_keys("campaign status");
     assert!(outage.0["campaigns"][0]["policy_outage"].is_string());
 }
 
@@ -125,7 +121,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
         assert_eq!(verdict, Verdict::Accepted);
     }
     let ids = |filters: &[&str]| -> Vec<String> {
-        let printed = Printed::run(&serve, &[&["jobs", "list", "demo"][..], filters].concat());
+        let printed = Printed::run(&serve, &[&["jobs", "demo"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
         jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned()).collect()
     };
@@ -153,7 +149,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
         ("--condition", "camrea"),
         ("--level", "L9"),
     ] {
-        let refused = serve.command(&["jobs", "list", "demo", flag, value]);
+        let refused = serve.command(&["jobs", "demo", flag, value]);
         assert_eq!(refused.status.code(), Some(2), "{flag} {value}");
         assert!(text(&refused.stderr).contains(value), "{flag} {value}");
     }
@@ -187,7 +183,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     fits_a_terminal(words);
     serve.run(&create, 0, &[]);
     let ids = |filters: &[&str]| -> Vec<String> {
-        let printed = Printed::run(&serve, &[&["jobs", "list", "floor"][..], filters].concat());
+        let printed = Printed::run(&serve, &[&["jobs", "floor"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
         jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned()).collect()
     };
@@ -195,44 +191,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let placebo = ids(&["--level", "L0", "--condition", "language"]);
     assert_eq!(placebo.len(), 10);
     assert_eq!(placebo[0], "object/t0/language/L0/c03");
-    let shown = Printed::run(&serve, &["jobs", "show", "floor", &placebo[0]]);
+    let shown = Printed::run(&serve, &["jobs", "floor", &placebo[0]]);
     assert_eq!(shown.0["manifest_row"]["placebo_radius"], 0.02);
     assert_eq!(shown.0["manifest_row"]["variant_id"], "t0/L0/canonical");
-}
-
-#[test]
-fn every_shell_gets_a_script_that_completes_commands() {
-    for shell in ["bash", "elvish", "fish", "powershell", "zsh"] {
-        let script = &succeed(crate::process::coordinator(&["completions", shell]));
-        assert_contains(script, &["set-priority", "coordinator", "dry-run"]);
-    }
-    let refused = crate::process::coordinator(&["completions", "cmd"]);
-    assert_eq!(refused.status.code(), Some(2));
-}
-
-#[test]
-fn bash_completes_names_of_campaigns_axes_levels_and_suites() {
-    let (folder, serve) = Serve::anew();
-    succeed(serve.command(&CREATE));
-    let script = folder.path().join("completions.bash");
-    let text = succeed(crate::process::coordinator(&["completions", "bash"]));
-    std::fs::write(&script, text).expect("written");
-    for (typed, expected) in [
-        (&["campaign", "status", "de"][..], "demo"),
-        (&["campaign", "create", "--axes", "camera,li"], "camera,lighting"),
-        (&["campaign", "create", "--levels", "L"], "L3"),
-        (&["campaign", "create", "--tasks", "libero_g"], "libero_goal"),
-    ] {
-        let complete = "source \"$1\"; shift; COMP_WORDS=(\"$@\"); COMP_CWORD=$(($# - 1)); \
-                        _coordinator_and_names \"$1\" \"${!#}\" \"\"; echo \"${COMPREPLY[@]}\"";
-        let output = std::process::Command::new("bash")
-            .args(["-c", complete, "bash"])
-            .arg(&script)
-            .arg(env!("CARGO_BIN_EXE_coordinator"))
-            .args(typed)
-            .env("COORDINATOR_URL", &serve.url)
-            .output();
-        let completed = succeed(output.expect("bash runs"));
-        assert!(completed.split_whitespace().any(|name| name == expected), "{completed}");
-    }
 }

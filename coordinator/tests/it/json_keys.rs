@@ -18,10 +18,10 @@ pub(crate) fn documented(command: &str) -> BTreeSet<String> {
 }
 
 /// Collects the keys of a value, including nested ones such as `campaigns[].rollouts.total`. Keys
-/// of a manifest row, and the policies that are keys of `paper_hours`, are not collected.
+/// of a manifest row are not collected.
 pub(crate) fn keys(value: &Value, path: &str, collected: &mut BTreeSet<String>) {
     match value {
-        Value::Object(fields) if !["manifest_row", "paper_hours"].contains(&path) => {
+        Value::Object(fields) if path != "manifest_row" => {
             for (name, field) in fields {
                 let name = match path {
                     "" => name.clone(),

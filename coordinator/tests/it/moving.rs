@@ -189,7 +189,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     source.worker.release(&failed, Reason::SimulatorError).await;
     // One rollout is in progress while the campaign is archived.
     let held = source.worker.claim_one().await;
-    source.succeed(&["campaign", "set-priority", "moved", "7"]);
+    source.succeed(&["campaign", "set", "moved", "--priority", "7"]);
     let before = source.rows().await;
     let file = source.archive("moved");
     assert_eq!(source.rows().await, before, "archiving changed rows");

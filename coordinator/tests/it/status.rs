@@ -6,7 +6,7 @@ use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
 use queue::read::WorkerLine;
-use serde_json::{Value, json};
+use serde_json::json;
 use tonic::Code;
 
 use crate::assertions::{assert_contains, assert_refused};
@@ -119,10 +119,7 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
     let printed = &succeed(coordinator(&nowhere));
     assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
-    assert_contains(
-        printed,
-        &["no forecast of its duration: failed to reach", "took in the paper: MINERVA 1m18s, "],
-    );
+    assert_contains(printed, &["no forecast of its duration: failed to reach"]);
 
     // Workers must count as alive even if this machine is slow.
     let lease = ["--lease-secs", "3600"];
@@ -151,28 +148,19 @@ async fn a_dry_run_forecasts_from_the_speeds_of_connected_workers() {
     assert_contains(&printed, &["more slots on their cores help up to 7"]);
 }
 
-/// The departed workers of a cluster would otherwise fill the list forever.
+/// The departed workers of a cluster would otherwise fill the list.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
+async fn departed_workers_are_only_counted_unless_all_are_listed() {
     let bench = Bench::start().await;
     bench.worker("old").await;
+    bench.clock.advance(Duration::from_secs(86_400));
+    bench.worker("new").await;
     let list = |arguments: &[&str]| {
         let connection = ["--connect", bench.url.as_str()];
         succeed(coordinator(&[&["workers"], arguments, &connection].concat()))
     };
-    bench.clock.advance(Duration::from_secs(6 * 86_400));
-    bench.worker("new").await;
-    let printed = list(&["--all"]);
-    assert!(printed.contains("old on ") && printed.contains("new on "), "{printed}");
-    bench.clock.advance(Duration::from_secs(2 * 86_400));
-    let printed = list(&["--all"]);
-    assert!(!printed.contains("old on ") && printed.contains("new on "), "{printed}");
-    assert!(
-        printed.contains("1 worker without a call for a week or more: --all --json lists them too"),
-        "{printed}"
-    );
-    let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
-    assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
     let printed = list(&[]);
-    assert!(printed.contains("1 departed: --all shows them"), "{printed}");
+    assert!(!printed.contains("old on "), "{printed}");
+    assert_contains(&printed, &["new on ", "1 departed: --all shows them"]);
+    assert_contains(&list(&["--all"]), &["old on ", "new on "]);
 }

@@ -14,7 +14,7 @@ use serde_json::{Value, json};
 
 use crate::harness::{Worker, assert_sound, rollout_id};
 use crate::page::http;
-use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
+use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 use crate::search::{PATIENCE, kill_at_failpoint, searched};
 
 /// Time for which a test observes that a campaign does not stop.
@@ -228,8 +228,8 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
         &["campaign", "resume", "early"][..],
         &["campaign", "pause", "early"],
         &["campaign", "cancel", "early"],
-        &["campaign", "set-endpoint", "early", "http://127.0.0.1:1"],
-        &["jobs", "retry", "early", "--all"],
+        &["campaign", "set", "early", "--endpoint", "http://127.0.0.1:1"],
+        &["jobs", "early", "--retry"],
     ] {
         let output = serve.command(arguments);
         let error = text(&output.stderr);
@@ -269,29 +269,6 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
         succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
     }
     assert_sound(folder.path()).await;
-}
-
-#[test]
-fn an_invalid_stop_rule_is_refused_before_creation() {
-    let create = |arguments: &[&str], words: &str| {
-        #[rustfmt::skip]
-        let campaign = [
-            "campaign", "create", "--name", "x", "--policy", "p",
-            "--endpoint", "http://127.0.0.1:1", "--tasks", "libero_object",
-            "--connect", "http://127.0.0.1:1",
-        ];
-        let error = &fail(coordinator(&[&campaign[..], arguments].concat()), 2);
-        assert_eq!(error.matches(words).count(), 1, "{arguments:?}: {error}");
-    };
-    let rule = ["--stop", "I excludes 0"];
-    create(&["--stop", "soon"], "valid are width(M) < X");
-    create(&["--stop", "difference excludes 0"], "valid are S_sim, R_e");
-    create(&[&rule[..], &["--axes", "camera"]].concat(), "two axes or more");
-    create(&[&rule[..], &["--replicates", "2"]].concat(), "with 2 `replicates`");
-    create(&["--stop-seed", "7"], "were not provided:\n  --stop <RULE>");
-    // The reason why a design is refused is also given only once.
-    create(&["--placebo-configs", "0"], "add L0 to `levels`");
-    create(&["--levels", "L0,L1", "--placebo-configs", "77"], "`placebo_configs` has 77");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -242,7 +242,7 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     tokio::time::sleep(Duration::from_secs(5)).await;
     assert_eq!(local_films(&folder), 2);
     assert_served(&coordinator, &rollout, &bytes);
-    let jobs = run(&coordinator, &["jobs", "list", "filmed", "--json"]);
+    let jobs = run(&coordinator, &["jobs", "filmed", "--json"]);
     let jobs: serde_json::Value = serde_json::from_str(&jobs).expect("JSON");
     let jobs = jobs.to_string();
     assert!(!jobs.contains("\"charged_attempts\":1"), "{jobs}");

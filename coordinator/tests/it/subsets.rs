@@ -46,17 +46,3 @@ async fn a_pair_that_fails_while_its_axes_alone_succeed_is_reported() {
     let cards = http(&serve.url, configuration).await.text();
     assert!(cards.contains("camera+robot"), "{cards}");
 }
-
-#[tokio::test(flavor = "multi_thread")]
-async fn an_invalid_subset_is_refused() {
-    let (_folder, serve) = Serve::anew();
-    for (sets, words) in [
-        ("camera", "valid are sets of two axes or more of camera+robot+sensor"),
-        ("camera+robot+sensor", "but not all of them"),
-        ("camera+lighting", "`subsets` has camera+lighting"),
-        ("camera+camera", "each once, such as camera+robot"),
-        ("camera+robto", "read axis `robto`"),
-    ] {
-        serve.run(&[&CREATE[..], &["--subsets", sets]].concat(), 2, &[words]);
-    }
-}

@@ -107,7 +107,7 @@ async fn planted_thresholds_are_found_again() {
         assert!(half["ci95"].is_array(), "{half}");
     }
     // Neither the campaign's own rollouts nor those of a task that fails nominally were run again.
-    let jobs = serve.command(&["jobs", "list", "first-thresholds", "--json"]);
+    let jobs = serve.command(&["jobs", "first-thresholds", "--json"]);
     let jobs: Value = serde_json::from_slice(&jobs.stdout).expect("JSON");
     let ids = list(&jobs, "jobs").iter();
     let ids: BTreeSet<&str> = ids.map(|job| job["rollout_id"].as_str().expect("an id")).collect();
@@ -176,7 +176,7 @@ async fn language_is_measured_at_its_own_levels_only() {
     let findings_json =
         measured(&serve, &["--axes", "language,simultaneous", "--tolerance", "0.1"]).await;
     assert_eq!(findings_json["rollouts"], 4);
-    let jobs = serve.command(&["jobs", "list", "first-thresholds"]);
+    let jobs = serve.command(&["jobs", "first-thresholds"]);
     for level in ["L1", "L3"] {
         for condition in ["language", "simultaneous"] {
             let id = format!("object/t4/{condition}/{level}/c00");
@@ -227,7 +227,7 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     let output = serve.command(&first(&["--tolerance", "2"]));
     let error = text(&output.stderr);
     assert!(error.contains("they differ in `purpose`"), "{error}");
-    succeed(serve.command(&["campaign", "rename", "first", "final"]));
+    succeed(serve.command(&["campaign", "set", "first", "--name", "final"]));
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
     let output_for_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
     let error = text(&output_for_derived.stderr);

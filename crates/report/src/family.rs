@@ -418,7 +418,7 @@ impl Family {
         }
         if self.quarantined > 0 {
             sentences.push(format!(
-                "{} of the campaign {} quarantined and in no figure; `coordinator jobs list` names \
+                "{} of the campaign {} quarantined and in no figure; `coordinator jobs` names \
                  {}.",
                 pluralise(self.quarantined, "rollout"),
                 agree(self.quarantined, "is", "are"),

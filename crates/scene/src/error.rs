@@ -27,7 +27,7 @@ pub enum SceneError {
     Malformed { what: String, path: PathBuf, problem: String },
     #[error(
         "use {what} {}: the file is not LIBERO's ({difference}). Run `worker assets fetch`, which \
-         replaces it, or `worker assets verify`, which lists everything that differs",
+         replaces it, or `worker assets --verify`, which lists everything that differs",
         path.display()
     )]
     NotLiberos { what: String, path: PathBuf, difference: String },

@@ -3,9 +3,11 @@
 
 #![forbid(unsafe_code)]
 
+use std::fs::{self, File};
 use std::io;
 use std::path::Path;
 
+use clap_complete::Shell;
 use rustix::process::{Pid, Signal, getppid, set_parent_process_death_signal};
 
 mod environment;
@@ -18,11 +20,27 @@ pub use output::{clear_lines, complain, counted, log, print, print_line, reader_
 pub use printable::printable;
 pub use values::{address, decimal, number, number_from, seconds};
 
+/// Shells, with the folder of their completions, and prefix and suffix of a completion file's name.
+const SHELLS: [(Shell, &str, &str, &str); 3] = [
+    (Shell::Bash, "bash-completion/completions", "", ""),
+    (Shell::Zsh, "zsh/site-functions", "_", ""),
+    (Shell::Fish, "fish/vendor_completions.d", "", ".fish"),
+];
+
 /// Writes the manual pages of a program and its subcommands, such as
-/// `coordinator-campaign-create.1`, into a folder, which is created if necessary.
-pub fn write_manual(program: clap::Command, folder: &Path) -> io::Result<()> {
-    std::fs::create_dir_all(folder)?;
-    clap_mangen::generate_to(program.disable_help_subcommand(true), folder)
+/// `coordinator-campaign-create.1`, and its completions in shells, into a prefix's folder `share`.
+pub fn write_manual(program: clap::Command, share: &Path) -> io::Result<()> {
+    let mut program = program.disable_help_subcommand(true);
+    let name = program.get_name().to_owned();
+    for (shell, folder, prefix, suffix) in SHELLS {
+        let folder = share.join(folder);
+        fs::create_dir_all(&folder)?;
+        let mut file = File::create(folder.join(format!("{prefix}{name}{suffix}")))?;
+        clap_complete::generate(shell, &mut program, &name, &mut file);
+    }
+    let pages = share.join("man/man1");
+    fs::create_dir_all(&pages)?;
+    clap_mangen::generate_to(program, pages)
 }
 
 /// Variable with the process id of the parent that this program must not outlive.

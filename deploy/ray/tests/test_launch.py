@@ -107,7 +107,7 @@ def test_a_lost_node_loses_no_rollout(cluster: Cluster, lab: Lab) -> None:
     rollouts = lab.rollouts("ray")
     # 2 tasks × 10 configurations × 7 conditions: each of five axes, all five together, nominal.
     assert rollouts["committed"] == rollouts["total"] == 140
-    jobs = json.loads(lab.coordinator("jobs", "list", "ray", "--limit", "1000", "--json"))["jobs"]
+    jobs = json.loads(lab.coordinator("jobs", "ray", "--limit", "1000", "--json"))["jobs"]
     charged = {job["rollout_id"]: job["charged_attempts"] for job in jobs}
     assert not any(charged.values()), charged
     assert lab.workers() == 0

@@ -94,7 +94,7 @@ def test_a_forecast_counts_rollouts_of_each_suite_and_creates_nothing(client):
 
 def test_rows_are_forecast_created_and_appended(client):
     design = specification("first", replicates=2)
-    text = client._program.run("manifest", "expand", "--spec", "-", text=json.dumps(design))
+    text = client._program.run("manifest", "--spec", "-", text=json.dumps(design))
     rows = [json.loads(line) for line in text.splitlines()]
     of_rows = {"name": "rows", **{key: design[key] for key in ("policy", "replicates")}}
     for spec, total in [(design, 16), ({**of_rows, "rows": rows[:5]}, 10)]:
@@ -112,7 +112,7 @@ def test_the_example_adds_the_rollouts_of_solved_tasks(serve, connect, gateway, 
     client = connect(f"http://{server.address}")
     text = json.dumps(specification("first", configs=[0]))
     path = tmp_path / "rows.jsonl"
-    path.write_text(client._program.run("manifest", "expand", "--spec", "-", text=text))
+    path.write_text(client._program.run("manifest", "--spec", "-", text=text))
     example = Path(__file__).resolve().parents[2] / "examples" / "perturb_solved.py"
     command = (sys.executable, example, path, "expert", f"http://{gateway.address}")
     url, packages = client._connection.access.url, os.pathsep.join(filter(None, sys.path))
@@ -174,7 +174,7 @@ def test_errors_name_a_missing_campaign_and_the_new_name_of_a_renamed_campaign(c
         client.campaign("nope")
     campaign = client.create(specification("first"))
     program = client._program
-    program.run(*program.with_connection("campaign", "rename", "first", "second"))
+    program.run(*program.with_connection("campaign", "set", "first", "--name", "second"))
     for method in (campaign.status, campaign.results, campaign.report, campaign.pause):
         with pytest.raises(NoSuchCampaignError, match="second"):
             method()

@@ -5,7 +5,7 @@
 #![forbid(unsafe_code)]
 
 use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result};
@@ -52,12 +52,6 @@ struct Arguments {
     /// Side of a frame, pixels.
     #[arg(long, default_value_t = 256)]
     size: u32,
-    /// Times our renderer alone, without OpenGL.
-    #[arg(long)]
-    alone: bool,
-    /// A folder for the frame of each camera that differs most: ours, OpenGL's, and the difference.
-    #[arg(long)]
-    output: Option<PathBuf>,
     /// Folder with the unpacked packages of robosuite and LIBERO.
     #[arg(long)]
     sources: Option<PathBuf>,
@@ -77,16 +71,6 @@ struct Findings {
     ours: Vec<f64>,
     theirs: Vec<f64>,
     agreement: Agreement,
-    worst: Option<Worst>,
-}
-
-/// The frame in which the renderers differ most, as each of them draws it.
-struct Worst {
-    /// Number of pixels that differ by more than [`CLOSE_LEVELS`], and number of pixels that
-    /// differ at all.
-    differing_pixels: (usize, usize),
-    ours: Frame,
-    theirs: Frame,
 }
 
 /// Agreement of two renderers' pixels.
@@ -108,9 +92,6 @@ struct Totals {
     /// Smallest shares of equal and of close pixels, percent, with scene and camera.
     least_equal: Option<(f64, String)>,
     least_close: Option<(f64, String)>,
-    /// Growth of resident memory while our renderer draws the first frame of each camera, by
-    /// scene, MiB.
-    memory: Vec<f64>,
 }
 
 fn main() -> ExitCode {
@@ -124,7 +105,7 @@ fn main() -> ExitCode {
 }
 
 fn run(arguments: &Arguments) -> Result<()> {
-    if !arguments.alone && std::env::var_os(LLVMPIPE_THREADS).is_none_or(|threads| threads != "0") {
+    if std::env::var_os(LLVMPIPE_THREADS).is_none_or(|threads| threads != "0") {
         return rerun_on_one_thread();
     }
     let tasks = tasks(&arguments.tasks)?;
@@ -135,7 +116,12 @@ fn run(arguments: &Arguments) -> Result<()> {
         .collect::<Result<Vec<_>>>()?;
     let mut bench = Bench::new(arguments)?;
     println!("{}", bench.clock);
-    println!("{}", header(arguments.alone));
+    // Median times in milliseconds, OpenGL's time over ours with its range, shares of equal pixels
+    // and of pixels within [`CLOSE_LEVELS`], and the largest difference, grey levels.
+    println!(
+        "{:<36} {:>8} {:>8} {:>6} {:>15} {:>9} {:>9} {:>8}",
+        "scene and camera", "ours", "OpenGL", "ratio", "spread", "equal %", "within 2", "largest"
+    );
     for row in &rows {
         bench.draw(row, arguments).with_context(|| format!("draw {}", row.id))?;
     }
@@ -186,8 +172,7 @@ fn render(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, S
 /// Both renderers, each with its own simulator.
 struct Bench {
     ours: Simulator,
-    /// The OpenGL renderer; `None` with `--alone`.
-    theirs: Option<Simulator>,
+    theirs: Simulator,
     clock: Clock,
     totals: Totals,
 }
@@ -205,89 +190,49 @@ impl Bench {
             }))
         };
         let mut ours = simulator(Renderer::Software)?;
-        let mut theirs = match arguments.alone {
-            true => None,
-            false => Some(simulator(Renderer::Gl(GlDevice::Auto))?),
-        };
-        print!("{}", ours.renderer_name()?);
-        let mut clock = Clock::ThreadCpu;
-        if let Some(theirs) = &mut theirs {
-            let name = theirs.renderer_name()?;
-            print!(" against {name}");
-            if !name.contains("llvmpipe") {
-                // A GPU works while the calling thread sleeps.
-                clock = Clock::Wall;
-            }
-        }
-        println!();
+        let mut theirs = simulator(Renderer::Gl(GlDevice::Auto))?;
+        let name = theirs.renderer_name()?;
+        println!("{} against {name}", ours.renderer_name()?);
+        // A GPU works while the calling thread sleeps.
+        let clock = if name.contains("llvmpipe") { Clock::ThreadCpu } else { Clock::Wall };
         Ok(Self { ours, theirs, clock, totals: Totals::default() })
     }
 
     fn draw(&mut self, row: &benchmark::ManifestRow, arguments: &Arguments) -> Result<()> {
         let clock = self.clock;
         let mut ours = self.ours.begin(row, Realisation::Matched)?;
-        let mut theirs = match &mut self.theirs {
-            None => None,
-            Some(theirs) => Some(theirs.begin(row, Realisation::Matched)?),
-        };
+        let mut theirs = self.theirs.begin(row, Realisation::Matched)?;
         ours.settle()?;
-        if let Some(theirs) = &mut theirs {
-            theirs.settle()?;
-        }
+        theirs.settle()?;
         let mut findings: [Findings; 2] = Default::default();
-        let mut memory = 0.0;
         let size = arguments.size;
         for frame in 0..=usize::from(arguments.frames) {
             for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
                 let draw = |episode: &mut Episode<'_>| clock.time(|| render(episode, camera, size));
-                let before = resident()?;
-                let (millis, our_frame) = draw(&mut ours);
-                let our_frame = our_frame?;
-                if frame == 0 {
-                    memory += resident()? - before;
-                }
+                let (our_millis, our_frame) = draw(&mut ours);
+                let (their_millis, their_frame) = draw(&mut theirs);
                 // The first frame includes the preparation of meshes and textures.
                 if frame > 0 {
-                    findings.ours.push(millis);
+                    findings.ours.push(our_millis);
+                    findings.theirs.push(their_millis);
                 }
-                let Some(theirs) = &mut theirs else { continue };
-                let (millis, their_frame) = draw(theirs);
-                let their_frame = their_frame?;
-                if frame > 0 {
-                    findings.theirs.push(millis);
-                }
-                let differing_pixels = findings.agreement.add(&our_frame, &their_frame);
-                let worst = findings.worst.as_ref();
-                if worst.is_none_or(|worst| differing_pixels > worst.differing_pixels) {
-                    findings.worst =
-                        Some(Worst { differing_pixels, ours: our_frame, theirs: their_frame });
-                }
+                findings.agreement.add(&our_frame?, &their_frame?);
             }
             let action = smooth_action(frame);
             ours.step(&action)?;
-            if let Some(theirs) = &mut theirs {
-                theirs.step(&action)?;
-            }
+            theirs.step(&action)?;
         }
         for (camera, findings) in CAMERAS.iter().zip(&findings) {
             let place = format!("{} {}", row.id, camera.split('_').next_back().unwrap_or(camera));
             println!("{}", self.totals.row(&place, findings)?);
-            if let (Some(folder), Some(worst)) = (&arguments.output, &findings.worst) {
-                let name = format!("{}_{camera}", row.id.to_string().replace('/', "_"));
-                save(folder, &name, &worst.ours, &worst.theirs)?;
-            }
         }
         self.totals.add(&row.id.to_string(), &findings);
-        self.totals.memory.push(memory);
         Ok(())
     }
 }
 
 impl Agreement {
-    /// Adds a frame. Returns the number of its pixels that differ by more than
-    /// [`CLOSE_LEVELS`], and the number of its pixels that differ at all.
-    fn add(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
-        let (mut far, mut differ) = (0, 0);
+    fn add(&mut self, ours: &Frame, theirs: &Frame) {
         for (a, b) in ours.rgb.chunks_exact(3).zip(theirs.rgb.chunks_exact(3)) {
             let difference = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max();
             let difference = difference.unwrap_or_default();
@@ -295,10 +240,7 @@ impl Agreement {
             self.equal += u64::from(difference == 0);
             self.close += u64::from(difference <= CLOSE_LEVELS);
             self.largest = self.largest.max(difference);
-            far += usize::from(difference > CLOSE_LEVELS);
-            differ += usize::from(difference > 0);
         }
-        (far, differ)
     }
 
     /// Converts a count to percent of all pixels, rounded down, so that 100 means all.
@@ -307,28 +249,10 @@ impl Agreement {
     }
 }
 
-/// Returns the heads of the table's columns: the median times of our renderer and of OpenGL, in
-/// milliseconds; the median and the range of OpenGL's time over ours; the shares of equal pixels
-/// and of pixels within [`CLOSE_LEVELS`], percent; and the largest difference, grey levels.
-fn header(alone: bool) -> String {
-    let ours = format!("{:<36} {:>8}", "scene and camera", "ours");
-    match alone {
-        true => ours,
-        false => format!(
-            "{ours} {:>8} {:>6} {:>15} {:>9} {:>9} {:>8}",
-            "OpenGL", "ratio", "spread", "equal %", "within 2", "largest"
-        ),
-    }
-}
-
 impl Totals {
     /// Adds one scene and camera; returns its line of the table.
     fn row(&mut self, place: &str, findings: &Findings) -> Result<String> {
         let ours = Spread::from_values(&findings.ours).context("find a timed frame")?;
-        let line = format!("{place:<36} {:>8.2}", ours.median);
-        if findings.theirs.is_empty() {
-            return Ok(line);
-        }
         let theirs = Spread::from_values(&findings.theirs).context("find a timed frame")?;
         let pairs = findings.theirs.iter().zip(&findings.ours);
         let ratios: Vec<f64> = pairs.map(|(theirs, ours)| theirs / ours).collect();
@@ -342,7 +266,8 @@ impl Totals {
             }
         }
         Ok(format!(
-            "{line} {:>8.2} {:>6.2} {:>15} {equal:>9.4} {close:>9.4} {:>8}",
+            "{place:<36} {:>8.2} {:>8.2} {:>6.2} {:>15} {equal:>9.4} {close:>9.4} {:>8}",
+            ours.median,
             theirs.median,
             ratio.median,
             format!("{:.2}–{:.2}", ratio.least, ratio.most),
@@ -365,12 +290,6 @@ impl Totals {
     }
 
     fn print(&self) {
-        if let Some(memory) = Spread::from_values(&self.memory) {
-            println!(
-                "resident memory that our first frames of a scene took: median {:.1} MiB, most {:.1}",
-                memory.median, memory.most
-            );
-        }
         let ratios: Vec<f64> = self.ratios.iter().map(|(ratio, _)| *ratio).collect();
         let Some(spread) = Spread::from_values(&ratios) else {
             return;
@@ -394,34 +313,4 @@ impl Totals {
             spread.most,
         );
     }
-}
-
-/// Returns the resident memory of this process, MiB.
-fn resident() -> Result<f64> {
-    let path = "/proc/self/status";
-    let status = std::fs::read_to_string(path).with_context(|| format!("read {path}"))?;
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-    let kib = line.and_then(|rest| rest.split_whitespace().next());
-    let kib: f64 = kib.with_context(|| format!("find VmRSS in {path}"))?.parse()?;
-    Ok(kib / 1024.0)
-}
-
-/// Saves a picture of three panes: our frame, OpenGL's, and their difference times 50.
-fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
-    std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
-    let (width, height) = (ours.width, ours.height);
-    let mut picture = image::RgbImage::new(width * 3, height);
-    for y in 0..height {
-        for x in 0..width {
-            let at = (((height - 1 - y) * width + x) * 3) as usize;
-            let (a, b) = (&ours.rgb[at..at + 3], &theirs.rgb[at..at + 3]);
-            let difference: [u8; 3] =
-                std::array::from_fn(|channel| a[channel].abs_diff(b[channel]).saturating_mul(50));
-            picture.put_pixel(x, y, image::Rgb([a[0], a[1], a[2]]));
-            picture.put_pixel(width + x, y, image::Rgb([b[0], b[1], b[2]]));
-            picture.put_pixel(2 * width + x, y, image::Rgb(difference));
-        }
-    }
-    let path = folder.join(format!("{name}.png"));
-    picture.save(&path).with_context(|| format!("write {}", path.display()))
 }

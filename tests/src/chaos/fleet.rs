@@ -348,7 +348,7 @@ impl Fleet {
     /// # Panics
     /// If the command fails.
     pub fn retry_quarantined(&self) {
-        self.command_output(&["jobs", "retry", CAMPAIGN, "--all"]);
+        self.command_output(&["jobs", CAMPAIGN, "--retry"]);
     }
 
     /// Backs up the database while the coordinator runs and returns the copy's path.

@@ -208,42 +208,6 @@ fn is_incomplete(command: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn run_commands(markdown: &str) -> Vec<(usize, String)> {
-        let steps = steps(markdown).expect("a page");
-        let commands = steps.into_iter().flat_map(|step| match step.action {
-            Action::Run { commands, .. } => commands,
-            _ => Vec::new(),
-        });
-        commands.map(|command| (command.line, command.text)).collect()
-    }
-
-    #[test]
-    fn commands_have_page_lines_and_keep_their_continuation_lines() {
-        let page =
-            "# Page\n\n```sh\na one  # first\n\nb \\\n  two\ncat > f <<'END'\nx\nEND\nc\n```\n";
-        let expected =
-            [(4, "a one  # first"), (6, "b \\\n  two"), (8, "cat > f <<'END'\nx\nEND"), (11, "c")];
-        assert_eq!(run_commands(page), expected.map(|(line, text)| (line, text.to_owned())));
-    }
-
-    #[test]
-    fn a_comment_applies_only_to_the_next_block() {
-        let page = "<!-- not run: hours -->\n\n```sh\na\n```\n```sh\nb\n```\n\n\
-            <!-- not run: hours -->\nText.\n```sh\nc\n```\n";
-        let steps = steps(page).expect("a page");
-        let reason = String::from("hours");
-        assert_eq!(steps[0].action, Action::Skip { reason });
-        assert_eq!(run_commands(page), [(7, "b".to_owned()), (13, "c".to_owned())]);
-    }
-
-    #[test]
-    fn a_block_becomes_a_file() {
-        let page = "<!-- file: a.toml -->\n```toml\n[a]\n```\n";
-        let (name, text) = ("a.toml".to_owned(), "[a]\n".to_owned());
-        let action = Action::Write { name, text };
-        assert_eq!(steps(page), Ok(vec![Step { line: 3, action }]));
-    }
-
     #[test]
     fn unmarked_commands_and_comments_that_do_not_match_their_block_are_refused() {
         for page in [

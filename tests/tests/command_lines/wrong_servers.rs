@@ -147,7 +147,7 @@ fn clients_of_a_coordinator_explain_unexpected_servers() {
     cases.push(case("a policy server", "http", host_port(&other_server)));
     let client = |url: &str| {
         let mut command = Command::new(program("coordinator"));
-        command.args(["campaign", "list", "--retry-secs", "0", "--connect", url, "--ca"]);
+        command.args(["campaign", "status", "--retry-secs", "0", "--connect", url, "--ca"]);
         command.arg(trusted.path("ca.pem"));
         command
     };

@@ -46,10 +46,3 @@ fn unknown_flags(words: &[String]) -> Vec<String> {
     let unknown = flags.filter(|flag| !known.contains(flag));
     unknown.map(|flag| format!("{name}: {flag}")).collect()
 }
-
-#[test]
-fn an_unknown_flag_is_named() {
-    let words = ["coordinator", "serve", "--data=here", "--port", "7411"];
-    let words = words.map(str::to_owned);
-    assert_eq!(unknown_flags(&words), ["coordinator: --port"]);
-}

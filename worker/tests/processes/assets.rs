@@ -100,7 +100,7 @@ fn packs_are_verified_against_liberos_files() {
     if !ready("packs_are_verified_against_liberos_files") {
         return;
     }
-    let (code, built_in) = code_and_output(run(&["assets", "verify", "primitives"]));
+    let (code, built_in) = code_and_output(run(&["assets", "--verify", "primitives"]));
     assert_eq!(code, Some(0), "{built_in}");
     assert!(built_in.contains("all files have the expected digest"));
 
@@ -109,14 +109,14 @@ fn packs_are_verified_against_liberos_files() {
     let folder = tempfile::tempdir().expect("a folder");
     let copy = copy_of_primitives(folder.path());
     let path = copy.to_str().expect("UTF-8");
-    let (code, verified) = code_and_output(run(&["assets", "verify", path]));
+    let (code, verified) = code_and_output(run(&["assets", "--verify", path]));
     assert_eq!(code, Some(1), "{verified}");
     for words in
         ["not LIBERO's", "scenes/libero_floor_base_style.xml (altered: ", "and 18 more", "`custom`"]
     {
         assert!(verified.contains(words), "{verified}");
     }
-    let (code, listed) = code_and_output(run(&["assets", "list", path]));
+    let (code, listed) = code_and_output(run(&["assets", path]));
     assert_eq!(code, Some(0), "{listed}");
     for words in ["custom\n", "40 of 40 can be shown"] {
         assert!(listed.contains(words), "{listed}");
@@ -133,9 +133,9 @@ fn an_empty_libero_pack_is_accepted_and_lists_its_downloads() {
     empty_sources(folder.path());
     let sources = folder.path().to_str().expect("UTF-8");
     let pack = folder.path().join("packs/libero");
-    let (code, path) = code_and_output(run(&["assets", "path", "--sources", sources]));
+    let (code, path) = code_and_output(run(&["assets", "--path", "--sources", sources]));
     assert_eq!((code, Path::new(path.trim_end())), (Some(0), &*pack));
-    let (code, listed) = code_and_output(run(&["assets", "list", "libero", "--sources", sources]));
+    let (code, listed) = code_and_output(run(&["assets", "libero", "--sources", sources]));
     assert_eq!(code, Some(0), "{listed}");
     for words in [
         "0 of LIBERO's 585",
@@ -178,15 +178,15 @@ fn an_altered_file_is_named_and_changes_the_packs_name() {
     fs::create_dir(folder.path().join("scenes")).expect("makes");
     let copy = folder.path().join(arena);
     fs::copy(managed.join(arena), &copy).expect("copies");
-    let (_, listed) = code_and_output(run(&["assets", "list", path]));
+    let (_, listed) = code_and_output(run(&["assets", path]));
     assert!(listed.starts_with("libero\n"), "{listed}");
 
     let mut text = fs::read(&copy).expect("reads");
     text[100] ^= 1;
     fs::write(&copy, text).expect("writes");
-    let (_, listed) = code_and_output(run(&["assets", "list", path]));
+    let (_, listed) = code_and_output(run(&["assets", path]));
     assert!(listed.starts_with("custom\n"), "{listed}");
-    let (code, verified) = code_and_output(run(&["assets", "verify", path]));
+    let (code, verified) = code_and_output(run(&["assets", "--verify", path]));
     assert_eq!(code, Some(1), "{verified}");
     let named = format!("{arena} (altered: another SHA-256)");
     assert!(verified.contains(&named), "{verified}");

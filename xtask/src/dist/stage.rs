@@ -17,14 +17,6 @@ use super::release::PROGRAMS;
 /// Name of MuJoCo's library.
 const MUJOCO: &str = "libmujoco.so.3.3.7";
 
-/// Shells, each with the folder below `share` for its completions, and the prefix and suffix of a
-/// completion file's name.
-const SHELLS: [(&str, &str, &str, &str); 3] = [
-    ("bash", "bash-completion/completions", "", ""),
-    ("zsh", "zsh/site-functions", "_", ""),
-    ("fish", "fish/vendor_completions.d", "", ".fish"),
-];
-
 /// Extensions of the files that scenes are made from. No program reads the other files of the
 /// source folders, which together are twice as large as these.
 const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
@@ -105,18 +97,11 @@ fn program(folder: &Path, name: &str) -> Command {
 }
 
 fn shell_files(folder: &Path) -> Result<String> {
-    let pages = folder.join("share/man/man1");
+    let share = folder.join("share");
     for name in PROGRAMS {
-        capture(program(folder, name).arg("manual").arg(&pages))?;
-        for (shell, subfolder, prefix, suffix) in SHELLS {
-            let completions = folder.join("share").join(subfolder);
-            std::fs::create_dir_all(&completions)?;
-            let script = capture(program(folder, name).args(["completions", shell]))?;
-            std::fs::write(completions.join(format!("{prefix}{name}{suffix}")), script + "\n")?;
-        }
+        capture(program(folder, name).arg("manual").arg(&share))?;
     }
-    let pages = std::fs::read_dir(&pages)?.count();
-    Ok(format!("{pages} pages, {} shells", SHELLS.len()))
+    Ok(format!("{} pages", std::fs::read_dir(share.join("man/man1"))?.count()))
 }
 
 /// Copies the robot's models and the task files, and lets the worker unpack its built-in pack
@@ -133,7 +118,7 @@ fn scenes(cache: &Path, folder: &Path) -> Result<String> {
         }
     }
     let mut worker = program(folder, "worker");
-    capture(worker.args(["assets", "list", "primitives"]))?;
+    capture(worker.args(["assets", "primitives"]))?;
     Ok(format!("{} files", files(&to)?.len()))
 }
 

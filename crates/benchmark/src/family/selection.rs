@@ -172,7 +172,7 @@ pub enum SelectionError {
     Unused { name: String },
     #[error(
         "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO nor LIBERO-Para has it; `coordinator \
-         manifest expand` prints the ids of a specification"
+         manifest --spec FILE` prints the ids of a specification"
     )]
     Id { id: RolloutId },
     #[error(

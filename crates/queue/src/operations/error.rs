@@ -18,7 +18,7 @@ pub enum QueueError {
     )]
     UnknownAttempt { attempt: AttemptId },
     #[error(
-        "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign list` lists its campaigns"
+        "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign status` lists its campaigns"
     )]
     UnknownCampaign { campaign: CampaignName },
     #[error("find campaign `{campaign}`: it was renamed and is called `{now}`")]
@@ -55,7 +55,7 @@ pub enum QueueError {
     )]
     HasDerived { campaign: CampaignName, derived: CampaignName },
     #[error(
-        "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` lists its rollouts"
+        "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs {campaign}` lists its rollouts"
     )]
     UnknownRollout { campaign: CampaignName, job: JobName },
     #[error("retry `{job}`: it is {state}; only a quarantined rollout can be retried")]

@@ -1,4 +1,9 @@
-//! `coordinator launch slurm`.
+//! `coordinator slurm`: scripts with which Slurm runs workers and a policy server for a
+//! coordinator, filled in from the templates in `deploy/`.
+
+mod checked;
+mod scripts;
+mod template;
 
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -8,11 +13,10 @@ use clap::Args;
 use terminal::number;
 use transport::{Role, SecurityError, ServerArguments, Tokens, parse_endpoint};
 
-use super::super::command::{CommandError, failure, print, print_line, usage};
-use super::checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
-use super::scripts::{Script, submit, write};
-use super::template::{Values, fill, for_shell};
-use super::time_limit::TimeLimit;
+use super::command::{CommandError, failure, print, print_line, usage};
+use checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
+use scripts::{Script, submit, write};
+use template::{Values, fill, for_shell};
 
 /// Asset packs selected by name; any other value of `--assets` is a folder.
 const PRIMITIVES: &str = "primitives";
@@ -20,24 +24,24 @@ const LIBERO: &str = "libero";
 
 /// File names and templates of the scripts.
 const COORDINATOR: (&str, &str) =
-    ("coordinator.sh", include_str!("../../../../deploy/slurm/coordinator.sh"));
+    ("coordinator.sh", include_str!("../../../deploy/slurm/coordinator.sh"));
 const GATEWAY: (&str, &str) =
-    ("gateway.sbatch", include_str!("../../../../deploy/slurm/gateway.sbatch"));
+    ("gateway.sbatch", include_str!("../../../deploy/slurm/gateway.sbatch"));
 const WORKERS: (&str, &str) =
-    ("workers.sbatch", include_str!("../../../../deploy/slurm/workers.sbatch"));
+    ("workers.sbatch", include_str!("../../../deploy/slurm/workers.sbatch"));
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
-  coordinator launch slurm --connect http://keeper:7411 --assets primitives
-  coordinator launch slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
+  coordinator slurm --connect http://keeper:7411 --assets primitives
+  coordinator slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
       --workers 16 --slots 8 --time 4:00:00 --into /shared/cluster --submit
-  coordinator launch slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
+  coordinator slurm --connect http://keeper:7411 --assets /shared/libero-assets \\
       --policy pi05=grpc://127.0.0.1:5000 --gpus 1 --policy-server 'python serve.py'";
 
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
-pub(crate) struct SlurmArguments {
+pub(super) struct SlurmArguments {
     /// URL under which the nodes reach the coordinator: the name of the machine on
     /// which coordinator.sh will run, and a port.
     #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
@@ -58,13 +62,10 @@ pub(crate) struct SlurmArguments {
     /// Partition of the jobs. [default: the cluster's]
     #[arg(long, value_name = "NAME")]
     partition: Option<String>,
-    /// Account that the jobs are charged to.
-    #[arg(long, hide_short_help = true, value_name = "NAME")]
-    account: Option<String>,
     /// Time limit of a job, as Slurm writes it: 4:00:00. Jobs that reach it are queued
     /// again. [default: the partition's]
     #[arg(long, value_name = "TIME")]
-    time: Option<TimeLimit>,
+    time: Option<String>,
     /// Number of seconds before its time limit at which a job is signalled to end; Slurm may send
     /// the signal up to a minute earlier.
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 60,
@@ -101,9 +102,6 @@ struct WorkerArguments {
     #[arg(long, value_name = "N", default_value_t = 4,
         value_parser = number(1..=1_024_u32, "slots"))]
     slots: u32,
-    /// Memory of a slot.
-    #[arg(long, hide_short_help = true, value_name = "SIZE", default_value = "2G")]
-    slot_memory: String,
     /// Seconds that a worker has to finish its rollouts after the signal to end. It then gives the
     /// unfinished rollouts back, which takes up to ten seconds more. The sum of the two times must
     /// fit into Slurm's KillWait.
@@ -114,7 +112,8 @@ struct WorkerArguments {
     #[arg(long, hide_short_help = true, value_name = "SECS", default_value_t = 600,
         value_parser = number(1..=604_800_u32, "seconds"))]
     idle_secs: u32,
-    /// Further sbatch option for the workers, such as `--worker-sbatch=--constraint=avx2`.
+    /// Further sbatch option for the workers, such as `--worker-sbatch=--account=lab`, or
+    /// `--worker-sbatch=--mem-per-cpu=4G` instead of 2G for a slot.
     /// (repeatable)
     #[arg(long, hide_short_help = true, value_name = "OPTION", allow_hyphen_values = true)]
     worker_sbatch: Vec<String>,
@@ -196,7 +195,6 @@ impl SlurmArguments {
     }
 
     fn values(&self) -> Result<Values, CommandError> {
-        self.check_times()?;
         let (workers, gateway) = (&self.workers, &self.gateway);
         let mut values = Values::default();
         self.set_servers(&mut values)?;
@@ -208,8 +206,7 @@ impl SlurmArguments {
             slurm_word("--gateway-partition", gateway.gateway_partition.as_ref())?;
         values.set_all("gateway_partition", partition_of_gateway.or_else(|| partition.clone()));
         values.set_all("partition", partition);
-        values.set_all("account", slurm_word("--account", self.account.as_ref())?);
-        values.set_all("time", self.time.as_ref().map(TimeLimit::to_string));
+        values.set_all("time", slurm_word("--time", self.time.as_ref())?);
         values.set("ahead_secs", self.ahead_secs);
 
         let assets = match workers.assets.as_str() {
@@ -219,8 +216,6 @@ impl SlurmArguments {
         values.set("assets", one_line("--assets", assets)?);
         values.set("workers", workers.workers);
         values.set("slots", workers.slots);
-        let memory = slurm_word("--slot-memory", Some(&workers.slot_memory))?;
-        values.set_all("slot_memory", memory);
         values.set("drain_secs", workers.drain_secs);
         values.set("idle_secs", workers.idle_secs);
         let further_options = sbatch_options("--worker-sbatch", &workers.worker_sbatch)?;
@@ -332,18 +327,6 @@ impl SlurmArguments {
             )));
         }
         Ok(Some(file.to_owned()))
-    }
-
-    fn check_times(&self) -> Result<(), CommandError> {
-        let limit = self.time.as_ref().and_then(TimeLimit::secs);
-        match limit {
-            Some(limit) if limit <= self.ahead_secs.into() => Err(usage(anyhow!(
-                "use --time {limit} s: jobs are signalled to end {} s before this limit; give more \
-                 time, or lower --ahead-secs",
-                self.ahead_secs
-            ))),
-            _ => Ok(()),
-        }
     }
 
     fn programs_folder(&self) -> Result<PathBuf, CommandError> {

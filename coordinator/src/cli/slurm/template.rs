@@ -126,10 +126,4 @@ mod tests {
                         run --qos=x '--comment=a b' # all\n";
         assert_eq!(fill(template, &values()), expected);
     }
-
-    #[test]
-    #[should_panic(expected = "placeholder {{nmae}} of a template")]
-    fn a_placeholder_that_was_never_set_panics() {
-        fill("{{nmae}}\n", &values());
-    }
 }
