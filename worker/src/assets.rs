@@ -102,13 +102,13 @@ impl Provider {
 
     /// Returns true if a row's files may have to be fetched, or may be missing.
     pub fn is_needed(&self, row: &ManifestRow) -> bool {
-        self.pack.is_managed() || row.id.variant().is_some()
+        self.pack.is_managed() || row.protocol.is_some()
     }
 
     /// Fetches a row's missing or altered assets, with progress in the log.
     pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
-        let files = match row.id.variant() {
+        let files = match row.protocol {
             None => TaskFiles::of_task(&self.sources, task),
             Some(_) => self.files_of_variant(row)?,
         };

@@ -12,7 +12,6 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef};
-use benchmark::family::pro::STATES;
 use benchmark::family::protocol::Protocol;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
@@ -211,7 +210,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     };
     let mut simulator = open_simulator(&arguments.simulator)?;
     let (mut files, mut start) = (own_task.as_ref().map(OwnTask::files), None);
-    if row.id.variant().is_some() {
+    if row.protocol.is_some() {
         let prepared = variants::Prepared::new(&row, &simulator.sources)?;
         (files, start, row) = (Some(prepared.files), Some(prepared.start), prepared.row);
     }
@@ -262,11 +261,8 @@ fn row(
     let benchmark = id.variant().and_then(|name| name.benchmark());
     match (benchmark, protocol, suite_file) {
         (_, _, Some(file)) => {
-            let mut rows = variants::rows_of_file(file, Some(STATES))?.into_iter();
-            rows.find(|row| row.id == id).with_context(|| {
-                let file = file.display();
-                format!("run {id}: {file} has no such rollout; correct task, suite or number")
-            })
+            let row = variants::read_suite_file(file)?.row_of(id);
+            row.with_context(|| format!("run {id} of {}", file.display()))
         }
         (Some(benchmark), ..) => Ok(variants::row(id, benchmark, protocol)?),
         (None, Some(_), _) => {

@@ -151,7 +151,7 @@ fn prepare(
     assignment: &Assignment,
     simulator: &Simulator,
 ) -> Result<Option<(Prepared, Assignment)>, VariantsError> {
-    if assignment.row.id.variant().is_none() {
+    if assignment.row.protocol.is_none() {
         return Ok(None);
     }
     let prepared = Prepared::new(&assignment.row, simulator.sources())?;

@@ -59,6 +59,12 @@ pub struct OwnTask {
     pub seed: u32,
     #[serde(default)]
     pub changes: Changes,
+    /// Suite that is sent to the policy; empty if the rollout's id names it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub suite: String,
+    /// Instruction that the row's instruction paraphrases; empty if it is the row's.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub instruction: String,
 }
 
 impl OwnTask {

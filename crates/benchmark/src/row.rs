@@ -121,6 +121,22 @@ impl ManifestRow {
         }
     }
 
+    /// Returns the instruction without the language axis.
+    pub fn canonical_instruction(&self) -> String {
+        match &self.own {
+            Some(own) if self.variant_id.is_some() => own.instruction.clone(),
+            Some(_) => self.instruction.clone(),
+            None => self.id.task().instruction(),
+        }
+    }
+
+    /// Returns the name of the suite that is sent to a policy: that of LIBERO's suite, or the name
+    /// in the suite file.
+    pub fn suite_name(&self) -> &str {
+        let own = self.own.as_deref().map(|own| own.suite.as_str());
+        own.filter(|suite| !suite.is_empty()).unwrap_or(self.id.suite_name())
+    }
+
     /// Returns the row of the same configuration restricted to some of its axes, each
     /// perturbed as in this row, which must perturb all of `axes`.
     pub fn only(&self, axes: AxisSet) -> Result<Self, UnknownName> {
@@ -129,8 +145,11 @@ impl ManifestRow {
         let id = RolloutId::perturbed(id.task(), Condition::of(axes), id.level(), config)?;
         let mut row = Self { id, perturbation: self.perturbation.only(axes), ..self.clone() };
         if !axes.contains(Axis::Language) {
-            row.instruction = id.task().instruction();
+            row.instruction = self.canonical_instruction();
             row.variant_id = None;
+            if let Some(own) = &mut row.own {
+                own.instruction.clear();
+            }
         }
         Ok(row)
     }
@@ -276,7 +295,8 @@ impl TryFrom<FlatRow> for ManifestRow {
             let given = flat.policy_seed;
             return Err(RowError::PolicySeed { id, given });
         }
-        if flat.protocol.is_some() != id.variant().is_some() {
+        let has_protocol = id.variant().is_some() || id.task().suite() == Suite::Own;
+        if flat.protocol.is_some() != has_protocol {
             let given = flat.protocol;
             return Err(RowError::Protocol { id, given });
         }

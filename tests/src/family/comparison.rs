@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
 use benchmark::numpy::LegacyRng;
-use benchmark::{Benchmark, ManifestRow, Suite, TaskRef};
+use benchmark::{Benchmark, ManifestRow, Realisation, Suite, TaskRef};
 use benchmark::family::plus::{Variant, entry};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::{Case, Subject};
@@ -238,11 +238,13 @@ fn findings(
     if let Some(expected) = numbers("reset") {
         let row = ManifestRow { settle_steps: 0, ..run.row.clone() };
         let start = VariantStart { start: Start::Reset, ..run.start.clone() };
-        let mut episode = simulator.begin_variant(run.files.clone(), &row, &start)?;
+        let mut episode =
+            simulator.begin_variant(run.files.clone(), &row, Realisation::Matched, &start)?;
         let found = episode.environment().state();
         findings.states = difference(&found, expected)?;
     }
-    let mut episode = simulator.begin_variant(run.files.clone(), &run.row, &run.start)?;
+    let mut episode =
+        simulator.begin_variant(run.files.clone(), &run.row, Realisation::Matched, &run.start)?;
     episode.settle()?;
     let expected = numbers("official").context("the state after the waits is missing")?;
     let found = episode.environment().state();
@@ -279,7 +281,7 @@ fn findings(
     if let Some(expected) = numbers("trial-1") {
         let row = ManifestRow { init_id: 1, ..run.row };
         let start = VariantStart { earlier_resets: 1, ..run.start };
-        let mut episode = simulator.begin_variant(run.files, &row, &start)?;
+        let mut episode = simulator.begin_variant(run.files, &row, Realisation::Matched, &start)?;
         episode.settle()?;
         let found = episode.environment().state();
         findings.states = findings.states.max(difference(&found, expected)?);

@@ -89,18 +89,16 @@ pub fn row(
     Ok(case.row(&protocol))
 }
 
-/// Returns the rows of a suite file, with `trials` in place of its own number of trials if given.
+/// Reads a suite file.
 ///
 /// # Errors
 /// If the file cannot be read or is invalid.
-pub fn rows_of_file(path: &Path, trials: Option<u16>) -> Result<Vec<ManifestRow>, VariantsError> {
+pub fn read_suite_file(path: &Path) -> Result<SuiteFile, VariantsError> {
     let path = || path.to_owned();
     let text = fs::read_to_string(path());
     let text = text.map_err(|source| VariantsError::File { path: path(), source })?;
     let file = SuiteFile::from_json(&text);
-    let mut file = file.map_err(|source| VariantsError::SuiteFile { path: path(), source })?;
-    file.trials = trials.unwrap_or(file.trials);
-    Ok(file.rows())
+    file.map_err(|source| VariantsError::SuiteFile { path: path(), source })
 }
 
 /// Returns the files of a row's task.

@@ -11,7 +11,7 @@ use benchmark::family::protocol::Protocol;
 use benchmark::family::{Case, ParaFilters, PlusFilters, ProFilters, Selection};
 use terminal::number;
 
-use super::case::rows_of_file;
+use super::case::read_suite_file;
 use super::error::VariantsError;
 
 /// A choice of rollouts: variants of LIBERO-Plus that match every given filter, suites of
@@ -64,8 +64,9 @@ impl Choice {
             let cases = selection.cases()?.into_iter();
             return Ok(cases.map(|case| (case, case.row(&protocol))).collect());
         };
-        let rows = rows_of_file(path, self.trials)?.into_iter();
-        rows.map(|row| Ok((Case::of_id(row.id)?, row))).collect()
+        let mut file = read_suite_file(path)?;
+        file.trials = self.trials.unwrap_or(file.trials);
+        file.rows().into_iter().map(|row| Ok((Case::of_id(row.id)?, row))).collect()
     }
 
     /// Returns the selection of the options of LIBERO-Plus, LIBERO-PRO and LIBERO-Para.

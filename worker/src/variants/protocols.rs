@@ -4,6 +4,7 @@
 use std::fmt::{self, Write};
 use std::slice;
 
+use benchmark::Realisation;
 use benchmark::family::protocol::{PROTOCOLS, Protocol};
 use benchmark::family::{Case, SelectionError, Subject};
 use scene::AssetPack;
@@ -132,8 +133,8 @@ fn first_query(
     pack.provide_with_bar(slice::from_ref(&prepared.files))?;
     let row = &prepared.row;
     let failed = |source: SimError| VariantsError::Start { id: row.id, source: Box::new(source) };
-    let mut episode =
-        simulator.begin_variant(prepared.files, row, &prepared.start).map_err(failed)?;
+    let begun = simulator.begin_variant(prepared.files, row, Realisation::Matched, &prepared.start);
+    let mut episode = begun.map_err(failed)?;
     episode.settle().map_err(failed)?;
     let agentview = CameraRequest { name: "agentview".to_owned(), width: SIDE, height: SIDE };
     let request = ObservationRequest { cameras: vec![agentview], privileged: false };
