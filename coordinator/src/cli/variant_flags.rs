@@ -3,20 +3,20 @@
 use std::path::PathBuf;
 
 use anyhow::ensure;
-use clap::Args;
-use benchmark::{Benchmark, Design, ManifestRow, TaskRef};
 use benchmark::family::para::TypeName;
 use benchmark::family::plus::{Dimension, Variant};
 use benchmark::family::pro::{ProSuite, STATES};
 use benchmark::family::protocol::Protocol;
 use benchmark::family::{Lacking, ParaFilters, PlusFilters, ProFilters, Selection};
+use benchmark::{Benchmark, Design, ManifestRow, TaskRef};
+use clap::Args;
 use terminal::number;
 
 use super::command::{CommandError, usage};
 use super::create::parse_names;
 use super::files::read_suite_file;
 
-/// Flags of a design, which conflict with `--suite`, `--rows` and `--spec`.
+/// Flags of a design, which conflict with `--rows` and `--spec`.
 #[rustfmt::skip]
 pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
@@ -35,10 +35,9 @@ const VARIANT_FLAGS: [&str; 10] = [
 #[derive(Args, Debug)]
 #[command(next_help_heading = "LIBERO-Plus, LIBERO-PRO, LIBERO-Para and further benchmarks")]
 pub(super) struct VariantFlags {
-    /// Variants of a benchmark instead of a design: `libero-plus`, `libero-pro` or `libero-para`,
-    /// with the unperturbed rollouts of their tasks.
-    #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
-        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "rows")]
+    /// Variants of a benchmark: `libero-plus`, `libero-pro` or `libero-para`; with --axes, under a
+    /// design, otherwise as released, with the unperturbed rollouts of their tasks.
+    #[arg(long, value_name = "BENCHMARK", hide_short_help = true, conflicts_with = "rows")]
     suite: Option<Benchmark>,
     /// Tasks of a suite file, a further benchmark in JSON as docs/FAMILY.md describes it; with
     /// --axes, under a design, otherwise unperturbed. `-` reads standard input.
@@ -143,7 +142,11 @@ impl VariantFlags {
             }),
         };
         let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
-        selection.rows(&protocol, self.runnable).map(Some).map_err(usage)
+        let rows = match design().map_err(usage)? {
+            Some(design) => selection.perturbed(&protocol, self.runnable, design),
+            None => selection.rows(&protocol, self.runnable),
+        };
+        rows.map(Some).map_err(usage)
     }
 
     /// Refuses filters that only another benchmark has.

@@ -71,7 +71,7 @@ impl Design {
 
     /// Returns the design's rows over a user's tasks. `tasks` has a row of each in the order of their
     /// indices; the rollouts start from the first `states` initial states.
-    pub(crate) fn expand_over(
+    pub fn expand_over(
         self,
         tasks: &[ManifestRow],
         states: u16,
@@ -99,6 +99,7 @@ impl Design {
                 max_steps: given.max_steps,
                 settle_steps: given.settle_steps,
                 protocol: given.protocol.clone(),
+                files: given.files,
                 instruction,
                 own,
                 ..row

@@ -54,7 +54,7 @@ pub struct ManifestRow {
     /// LIBERO-CTRL. If a row has a protocol and only the BDDL file has the instruction,
     /// `instruction` is empty.
     pub protocol: Option<String>,
-    /// Task of a suite file; `None` for all other rows.
+    /// Files and conditions of the task of a row with a protocol; `None` for all other rows.
     pub own: Option<Box<OwnTask>>,
     /// Benchmark whose task files the rollout needs; `None` if LIBERO's or its own suffice.
     pub files: Option<Benchmark>,
@@ -125,8 +125,8 @@ impl ManifestRow {
     pub fn canonical_instruction(&self) -> String {
         match &self.own {
             Some(own) if self.variant_id.is_some() => own.instruction.clone(),
-            Some(_) => self.instruction.clone(),
-            None => self.id.task().instruction(),
+            Some(_) if self.id.task().suite() == Suite::Own => self.instruction.clone(),
+            _ => self.id.task().instruction(),
         }
     }
 
@@ -185,7 +185,7 @@ pub enum RowError {
     )]
     Protocol { id: RolloutId, given: Option<String> },
     #[error(
-        "read row {id}: `own` is {}; write a task in rows of suite files only",
+        "read row {id}: `own` is {}; write a task in rows with a protocol only",
         if *is_given { "given" } else { "missing" }
     )]
     Own { id: RolloutId, is_given: bool },
@@ -301,7 +301,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             return Err(RowError::Protocol { id, given });
         }
         let is_given = flat.own.is_some();
-        if is_given != (id.task().suite() == Suite::Own) {
+        if is_given != has_protocol {
             return Err(RowError::Own { id, is_given });
         }
         if let Some(Err(problem)) = flat.own.as_deref().map(OwnTask::check) {

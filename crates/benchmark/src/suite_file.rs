@@ -331,6 +331,8 @@ impl SuiteFile {
             folder: self.folder(),
             bddl: suite.bddl.replace(NAME, &task.name),
             states: suite.states.replace(NAME, &task.name),
+            states_folder: None,
+            sentence: None,
             start: self.start,
             seed: self.seed,
             changes: task.changes.clone(),

@@ -1,11 +1,11 @@
 //! A rollout in the protocol's order: the perturbed scene at its initial state, then observations
 //! and actions, each passed through its perturbation.
 
+use benchmark::attempt::Realised;
+use benchmark::family::plus::CameraPose as WrittenPose;
 use benchmark::streams::Randomness;
 use benchmark::{Axis, ManifestRow, Realisation, RobotShift};
-use benchmark::family::plus::CameraPose as WrittenPose;
 use nalgebra::Matrix3;
-use benchmark::attempt::Realised;
 
 use crate::controller::{ARM_JOINTS, ActionFrame, GRIP_SITE, RESET_JOINTS};
 use crate::error::SimError;

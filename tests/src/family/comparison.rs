@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use benchmark::numpy::LegacyRng;
-use benchmark::{Benchmark, ManifestRow, Realisation, Suite, TaskRef};
 use benchmark::family::plus::{Variant, entry};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::{Case, Subject};
+use benchmark::numpy::LegacyRng;
+use benchmark::{Benchmark, ManifestRow, Realisation, Suite, TaskRef};
 use proto::checks::CAMERAS;
 use scene::{AssetPack, Sources, TaskFiles};
 use sha2::{Digest, Sha256};
@@ -189,13 +189,14 @@ impl Comparison {
         let case = Case { subject, task, trial: 0 };
         let protocol = protocol.parse()?;
         let row = case.row(&protocol);
-        let files = worker::variants::files(&row, &self.sources)?;
+        let own = row.own.as_deref().context("every case has a task")?;
+        let files = TaskFiles::with_prompt(&self.sources, own);
         for file in [&files.bddl, &files.init] {
             if !file.is_file() {
                 return Ok(Err(Skipped(format!("there is no {}", file.display()))));
             }
         }
-        let Prepared { mut files, start, row } = Prepared::new(&row, &self.sources)?;
+        let Prepared { mut files, start, row } = Prepared::new(&row, own, &self.sources)?;
         let group = match subject {
             Subject::Plus(entry) => entry.dimension().to_string(),
             Subject::Pro(_) => suite.rsplit('_').next().unwrap_or_default().to_owned(),

@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
-use benchmark::{ManifestRow, Suite, TaskRef};
 use benchmark::family::para::TypeName;
 use benchmark::family::plus::{Dimension, Variant};
 use benchmark::family::pro::{ProSuite, STATES};
 use benchmark::family::protocol::Protocol;
 use benchmark::family::{Case, ParaFilters, PlusFilters, ProFilters, Selection};
+use benchmark::{ManifestRow, Suite, TaskRef};
+use clap::Args;
 use terminal::number;
 
 use super::case::read_suite_file;
@@ -129,13 +129,5 @@ mod tests {
         assert!(cases.iter().all(|case| case.further_assets().is_none()));
         let none = Choice { tasks: vec!["libero_object/8".parse().unwrap()], ..hints };
         assert!(none.selection().cases().is_err());
-    }
-
-    #[test]
-    fn a_pro_suite_has_ten_tasks_of_fifty_trials() {
-        let pro = Choice { pro: vec!["libero_goal_swap".parse().unwrap()], ..Choice::default() };
-        let cases = pro.selection().cases().unwrap();
-        assert_eq!((cases.len(), Case::unperturbed(&cases).len()), (500, 500));
-        assert_eq!(cases[1].name(), "libero_goal_swap/open_the_middle_drawer_of_the_cabinet/e01");
     }
 }

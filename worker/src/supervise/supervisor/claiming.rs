@@ -2,10 +2,9 @@
 
 use std::collections::BTreeSet;
 
-use benchmark::TaskKey;
-use benchmark::{ManifestRow, RolloutId};
-use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use benchmark::attempt::AttemptId;
+use benchmark::{ManifestRow, RolloutId, Suite, TaskKey};
+use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use scene::FileStamps;
 use tokio::time::Instant;
 use tonic::{Code, Status};
@@ -112,7 +111,7 @@ impl Supervisor {
             // Each variant of a task has its own files.
             let files = |id: RolloutId| (id.task(), id.variant());
             // A user may change the files of a suite file at any time.
-            files(last.id) == files(row.id) && row.own.is_none()
+            files(last.id) == files(row.id) && row.id.task().suite() != Suite::Own
         };
         let row = assignment.row.clone();
         let last = self.slots[slot].assignment.as_ref();
@@ -215,8 +214,7 @@ impl Supervisor {
         Ok(Assignment {
             attempt,
             session: Session::new(&row.id, lease.replicate, attempt),
-            realisation: realisation
-                .map_err(|error: benchmark::UnknownName| error.to_string())?,
+            realisation: realisation.map_err(|error: benchmark::UnknownName| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,
