@@ -98,12 +98,12 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         replicate: result.replicate,
         placebo_radius: row.placebo_radius.map(Level::radius),
         execution: row.execution,
+        // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
+        prompt: outcome.prompt.as_deref().filter(|_| row.protocol.is_some()),
         protocol: row.protocol,
         goal_predicates: outcome.goal.predicates,
         goal_at_end: outcome.goal.at_end,
         goal_at_most: outcome.goal.at_most,
-        // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
-        prompt: outcome.prompt.as_deref().filter(|_| row.id.variant().is_some()),
     })
     .map_err(row_error)
 }

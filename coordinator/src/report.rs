@@ -122,10 +122,10 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         };
         let row: ManifestRow =
             serde_json::from_str(&manifest_row).map_err(unreadable(rollout_id))?;
-        // Tasks of suite files have no nominal rollout.
-        let state = match row.own {
-            None => RolloutId::nominal(row.id.task(), row.init_id),
-            Some(_) => row.id,
+        // A suite that is run without axes has no nominal rollout.
+        let state = match row.id.variant() {
+            Some(name) if name.benchmark().is_none() => row.id,
+            _ => RolloutId::nominal(row.id.task(), row.init_id),
         };
         if let Some(Digests { scene, init_state, .. }) = digests {
             setups.scenes.insert(state, digest(&[&scene, &init_state]));

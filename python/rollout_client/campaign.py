@@ -68,9 +68,9 @@ class Campaign:
         """Returns a row per committed rollout, sorted by rollout id and replicate. `axis` and
         `level` are the condition: `nominal` and `L0`, axes, `simultaneous` (all axes), or
         `variant` and `L0` (of LIBERO's family or a suite file). `config` is missing for nominal
-        rollouts and variants, and only variants have `protocol` and `prompt`. Only rollouts with a
-        displaced robot have `ik_res_mm`, the residual of the inverse kinematics, mm, and only
-        rollouts of the placebo level have `placebo_radius`.
+        rollouts and variants, and only variants and tasks of suite files have `protocol` and
+        `prompt`. Only rollouts with a displaced robot have `ik_res_mm`, the residual of the inverse
+        kinematics, mm, and only rollouts of the placebo level have `placebo_radius`.
         `execution` is the execution model, `wait` unless the campaign or its row sets another.
         `goal_predicates` counts the goal's predicates, `goal_at_end` those that held at the end,
         and `goal_at_most` the largest number that held at one time."""

@@ -7,11 +7,12 @@ use std::process::Command;
 use std::sync::Arc;
 
 use benchmark::family::corruption::Corruption;
-use benchmark::family::plus::{Assets, Variant, inventory, start_posture};
+use benchmark::family::plus::{Assets, Variant, entry, inventory, start_posture};
 use benchmark::family::pro::ProSuite;
-use benchmark::family::protocol::Benchmark;
+use benchmark::family::protocol::{Benchmark, Protocol};
+use benchmark::family::{Case, Subject};
 use benchmark::numpy::LegacyRng;
-use benchmark::{Look, RolloutId, row_of};
+use benchmark::{Look, RolloutId, TaskRef, row_of};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Conditions, Environment, ObjectKind, ReadyScene, Reset, Start, VariantStart};
 use tests::family::{
@@ -23,6 +24,16 @@ use tests::programs::program;
 const RECORDED: &str = include_str!("family/states.txt");
 /// Seed of the recordings.
 const SEED: u32 = 7;
+
+fn files_of(sources: &Sources, subject: Subject, task: TaskRef) -> TaskFiles {
+    let case = Case { subject, task, trial: 0 };
+    let row = case.row(&Protocol::official(case.benchmark().unwrap()));
+    TaskFiles::of_own(sources, &row.own.unwrap())
+}
+
+fn files_of_variant(sources: &Sources, variant: &Variant) -> TaskFiles {
+    files_of(sources, Subject::Plus(entry(variant).unwrap()), variant.task)
+}
 
 /// Returns the recorded numbers of each variant, by kind.
 fn recorded() -> BTreeMap<Variant, BTreeMap<&'static str, Vec<f64>>> {
@@ -56,7 +67,7 @@ fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
     };
     let mut largest = BTreeMap::new();
     for (variant, recorded) in recorded() {
-        let files = TaskFiles::of_variant(&sources, &variant);
+        let files = files_of_variant(&sources, &variant);
         if !(files.bddl.is_file() && files.init.is_file()) {
             let folder = Sources::family(sources.dir(), Benchmark::Plus);
             println!("skipped {test}: {variant}: no task files at {}", folder.display());
@@ -121,7 +132,7 @@ fn corruption_draws_as_many_random_numbers_as_the_original() {
         let (_, name) = fields[0].split_once('/').unwrap();
         let variant: Variant = name.parse().unwrap();
         let corruption = Corruption::new(variant.corruption().unwrap()).unwrap();
-        let files = TaskFiles::of_variant(&sources, &variant);
+        let files = files_of_variant(&sources, &variant);
         let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
         let mut environment = Environment::from_compiled(Arc::clone(ready.compiled())).unwrap();
         let mut rng = LegacyRng::seed(SEED);
@@ -156,7 +167,7 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
         let trial: u16 = fields.next().unwrap().parse().unwrap();
         let expected: Vec<f64> = fields.map(|field| field.parse().unwrap()).collect();
         let task = suite.suite.tasks().find(|task| task.name() == name).unwrap();
-        let files = TaskFiles::of_pro_task(&sources, suite, task);
+        let files = files_of(&sources, Subject::Pro(suite), task);
         if !(files.bddl.is_file() && files.init.is_file()) {
             let folder = Sources::family(sources.dir(), Benchmark::Pro);
             println!("skipped {test}: no task files at {}", folder.display());
@@ -298,7 +309,7 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
         .filter(|entry| entry.variant.task == task && entry.assets() == Assets::NewObjects);
     let mut variants: Vec<Variant> = of_task.map(|entry| entry.variant).collect();
     variants.sort_by_key(|variant| {
-        TaskFiles::of_variant(&sources, variant).problem().unwrap().objects.len()
+        files_of_variant(&sources, variant).problem().unwrap().objects.len()
     });
     let list = |variant: &Variant| {
         let mut command = Command::new(program("worker"));
@@ -309,7 +320,7 @@ fn added_objects_are_placed_from_models_in_the_archives_form() {
     let lacks = "lacks objects of LIBERO-Plus' archive (new_objects/), which no package index has";
     let mut counts = Vec::new();
     for variant in [variants[0], *variants.last().unwrap()] {
-        let files = TaskFiles::of_variant(&sources, &variant);
+        let files = files_of_variant(&sources, &variant);
         let problem = files.problem().unwrap();
         let file = |category: &str| scene::catalog::category(category).unwrap().file;
         let added: Vec<_> = problem

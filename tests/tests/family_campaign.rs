@@ -120,6 +120,20 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_rollout() {
     // Two of the variants change the camera.
     assert_eq!(groups, Some(names.len() - 1));
 
+    // A variant takes LIBERO-CTRL's axes as a task of a suite file does.
+    let design = ["--variant", VARIANTS[0], "--axes", "camera", "--configs", "0"];
+    let mut perturbed = creation(&campaigns, "student", &design);
+    perturbed[3] = "perturbed";
+    campaigns.succeed(&perturbed);
+    campaigns.wait_for_commits("perturbed", None);
+    let perturbed = stored(&data, "perturbed").await;
+    assert!(perturbed.keys().eq(["own/t0/camera/L2/c00", "own/t0/nominal/i00"]));
+    let released = outcomes.values().find(|outcome| {
+        let [scene, state, _] = &outcome.digests;
+        perturbed.values().all(|of| (&of.digests[0], &of.digests[1]) == (scene, state))
+    });
+    assert!(released.is_some(), "{perturbed:?}");
+
     let twice = campaigns.call(&["report", "plus", "plus"]);
     let errors = String::from_utf8_lossy(&twice.stderr);
     assert!(errors.contains("never pooled"), "{errors}");

@@ -79,14 +79,15 @@ impl OwnSuite {
     }
 
     /// Creates a campaign of the suite file.
-    fn create(&self, campaigns: &Campaigns, name: &str, policy: &str, trials: &str) {
+    fn create(&self, campaigns: &Campaigns, name: &str, policy: &str, more: &[&str]) {
         let path = self.file();
         #[rustfmt::skip]
-        campaigns.succeed(&[
+        let create = [
             "campaign", "create", "--name", name, "--policy", policy,
             "--endpoint", &campaigns.gateway.url,
-            "--suite-file", path.to_str().expect("UTF-8"), "--trials", trials,
-        ]);
+            "--suite-file", path.to_str().expect("UTF-8"),
+        ];
+        campaigns.succeed(&[&create[..], more].concat());
     }
 
     /// Starts a worker with the suite's sources, and its log in a file.
@@ -122,7 +123,7 @@ async fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     assert!(text.lines().count() <= 30, "{text}");
     let data = suite.folder.path().join("data");
     let campaigns = Campaigns::start(&data);
-    suite.create(&campaigns, "own", "student", "1");
+    suite.create(&campaigns, "own", "student", &["--trials", "1"]);
     let _worker = suite.worker(&campaigns, &suite.folder.path().join("log"));
     campaigns.wait_for_commits("own", None);
     let report = campaigns.succeed(&["report", "own"]);
@@ -152,12 +153,42 @@ async fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
         {"name": "plate", "noise": 30},
     ]);
     suite.write(&file);
-    suite.create(&campaigns, "changed", "student", "2");
+    suite.create(&campaigns, "changed", "student", &["--trials", "2"]);
     campaigns.wait_for_commits("changed", None);
     let changed = stored(&data, "changed").await;
     assert_eq!(changed.len(), 8);
     let frames = changed.values().map(|outcome| &outcome.digests[2]);
     assert_eq!(frames.collect::<BTreeSet<_>>().len(), 8);
+
+    // The tasks take LIBERO-CTRL's axes as LIBERO's do, on top of their own conditions.
+    file["trials"] = 2.into();
+    suite.write(&file);
+    let design = ["--axes", "camera,actuation", "--configs", "0-1"];
+    suite.create(&campaigns, "perturbed", "student", &design);
+    campaigns.wait_for_commits("perturbed", None);
+    let perturbed = stored(&data, "perturbed").await;
+    let first_frame = |id: &str| &perturbed[id].digests[2];
+    for task in 0..4 {
+        let id = format!("own/t{task}/camera/L2/c00");
+        let outcome = &perturbed[&id];
+        assert_eq!(outcome, &alone(&campaigns.gateway.url, &id, &more));
+        // Only the camera shows in the first frame.
+        assert_eq!(&outcome.digests[2], first_frame(&id.replace("camera", "simultaneous")));
+        let unseen = first_frame(&id.replace("camera", "actuation"));
+        let is_nominal = |id: &&String| id.contains(&format!("t{task}/nominal/"));
+        let mut nominal = perturbed.keys().filter(is_nominal);
+        assert!(nominal.any(|id| first_frame(id) == unseen) && unseen != &outcome.digests[2]);
+    }
+    let frames = (0..4).map(|task| first_frame(&format!("own/t{task}/camera/L2/c00")).as_str());
+    assert_eq!(frames.collect::<BTreeSet<_>>().len(), 4);
+    let report = campaigns.succeed(&["report", "perturbed"]);
+    for words in ["simultaneous", "camera", "actuation"] {
+        assert!(report.contains(words), "no `{words}`: {report}");
+    }
+    campaigns.succeed(&["explain", "perturbed", "--create"]);
+    campaigns.succeed(&["interactions", "perturbed"]);
+    let shown = campaigns.succeed(&["jobs", "show", "perturbed", "own/t1/camera/L2/c00"]);
+    assert!(shown.contains("plate.bddl"), "{shown}");
 }
 
 #[test]
@@ -336,8 +367,9 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_their_prompts_and_states() {
         let output = campaigns.call(arguments);
         assert!(!output.status.success(), "{arguments:?}");
     }
-    let conflicting = [&create[..], &["--protocol", "pro-bddl"]].concat();
-    assert!(!campaigns.call(&conflicting).status.success());
+    for conflicting in [["--protocol", "pro-bddl"], ["--levels", "L1"]] {
+        assert!(!campaigns.call(&[&create[..], &conflicting].concat()).status.success());
+    }
     fs::write(&path, "{}").expect("writes");
     assert_refused(&campaigns.call(&create), &["ten.json", "`name`", "docs/FAMILY.md"]);
 }
@@ -349,7 +381,7 @@ fn a_worker_that_lacks_a_tasks_file_runs_other_tasks_until_the_file_exists() {
     file["budget"] = 1.into();
     suite.write(&file);
     let campaigns = Campaigns::start(&suite.folder.path().join("data"));
-    suite.create(&campaigns, "own", "noop", "3");
+    suite.create(&campaigns, "own", "noop", &["--trials", "3"]);
     let states = suite.sources().join("suites/kitchen/states/stove.pruned_init");
     let moved = states.with_extension("away");
     fs::rename(&states, &moved).expect("moves");

@@ -309,14 +309,6 @@ pub struct VariantsArguments {
     /// Prints a line for each rollout: the files that it needs, and whether they are present
     #[arg(long)]
     pub list: bool,
-    /// Prints how the start of a rollout differs between the protocols of the benchmark: the hand's
-    /// pose, the picture, the prompt; for the variants of --variant, or one of each dimension or
-    /// suite
-    ///
-    /// `hand moved` and `turned` are relative to the unperturbed task under the official protocol;
-    /// `pixels` is the share that differs from the variant's picture under that protocol.
-    #[arg(long, conflicts_with_all = ["list", "suite_file"])]
-    pub protocols: bool,
     /// Simulator, assets and renderer.
     #[command(flatten)]
     pub simulator: SimulatorArguments,

@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 use benchmark::family::Lack;
 use benchmark::family::protocol::Benchmark;
-use benchmark::{ManifestRow, TaskRef};
+use benchmark::{ManifestRow, OwnTask, TaskRef};
 use scene::assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, FileStamps, Sources, TaskFiles};
@@ -100,15 +100,15 @@ impl Provider {
 
     /// Returns true if a row's files may have to be fetched, or may be missing.
     pub fn is_needed(&self, row: &ManifestRow) -> bool {
-        self.pack.is_managed() || row.id.variant().is_some()
+        self.pack.is_managed() || row.own.is_some()
     }
 
     /// Fetches a row's missing or altered assets, with progress in the log.
     pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
-        let files = match row.id.variant() {
+        let files = match &row.own {
             None => TaskFiles::of_task(&self.sources, task),
-            Some(_) => self.files_of_variant(row)?,
+            Some(own) => self.files_of_own(row, own)?,
         };
         let mut last_logged = None;
         let mut report = |report| {
@@ -139,22 +139,17 @@ impl Provider {
         Ok(())
     }
 
-    /// Returns the files of a variant's task. Fails if the variant lacks files other than LIBERO's
-    /// assets.
-    fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, ProvideError> {
-        let fault = |error: &(dyn std::error::Error + 'static)| {
-            ProvideError::Fetch(transport::chain(error))
-        };
+    /// Returns the files of a row's own task. Fails if files other than LIBERO's assets are missing.
+    fn files_of_own(&self, row: &ManifestRow, own: &OwnTask) -> Result<TaskFiles, ProvideError> {
         // The stamps are taken before the check, so that a file that is corrected in between counts
         // as changed.
         let files = self.stamps(row);
-        let lack = variants::lack(row, &self.pack, &self.sources).map_err(|error| fault(&error))?;
+        let lack = variants::lack(row, &self.pack, &self.sources);
+        let lack = lack.map_err(|error| ProvideError::Fetch(transport::chain(&error)))?;
         match lack {
             // If the rollout's initial state does not exist, the rollout fails with an error that
             // names the state.
-            None | Some(Lack::States { .. }) => {
-                variants::files(row, &self.sources).map_err(|error| fault(&error))
-            }
+            None | Some(Lack::States { .. }) => Ok(TaskFiles::of_own(&self.sources, own)),
             Some(lack) => Err(ProvideError::Lack {
                 error: format!("run {}: this worker lacks {lack}", row.id),
                 files,
@@ -169,8 +164,9 @@ impl Provider {
     }
 
     fn stamps(&self, row: &ManifestRow) -> FileStamps {
-        let files = variants::files(row, &self.sources);
-        files.map_or_else(|_| FileStamps::default(), |files| files.stamps())
+        let own = row.own.as_deref();
+        let files = own.map(|own| TaskFiles::with_prompt(&self.sources, own));
+        files.map_or_else(FileStamps::default, |files| files.stamps())
     }
 
     /// Cancels the fetches in progress, and every later fetch as soon as it reports progress.

@@ -11,7 +11,6 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use benchmark::family::pro::STATES;
 use benchmark::family::protocol::Protocol;
 use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
@@ -204,8 +203,8 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     };
     let mut simulator = open_simulator(&arguments.simulator)?;
     let (mut files, mut start) = (own_task.as_ref().map(OwnTask::files), None);
-    if row.id.variant().is_some() {
-        let prepared = variants::Prepared::new(&row, &simulator.sources)?;
+    if let Some(own) = &row.own {
+        let prepared = variants::Prepared::new(&row, own, &simulator.sources)?;
         (files, start, row) = (Some(prepared.files), Some(prepared.start), prepared.row);
     }
     let of_task = || TaskFiles::of_task(&simulator.sources, row.id.task());
@@ -255,11 +254,8 @@ fn row(
     let benchmark = id.variant().and_then(|name| name.benchmark());
     match (benchmark, protocol, suite_file) {
         (_, _, Some(file)) => {
-            let mut rows = variants::rows_of_file(file, Some(STATES))?.into_iter();
-            rows.find(|row| row.id == id).with_context(|| {
-                let file = file.display();
-                format!("run {id}: {file} has no such rollout; correct task, suite or number")
-            })
+            let row = variants::read_suite_file(file)?.row_of(id);
+            row.with_context(|| format!("run {id} of {}", file.display()))
         }
         (Some(benchmark), ..) => Ok(variants::row(id, benchmark, protocol)?),
         (None, Some(_), _) => {
@@ -270,20 +266,15 @@ fn row(
 }
 
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
-    let VariantsArguments { choice, list, protocols, simulator } = &arguments;
+    let VariantsArguments { choice, list, simulator } = &arguments;
     let rollouts = choice.rollouts()?;
-    let mut simulator = open_simulator(simulator)?;
-    let files =
-        rollouts.iter().filter_map(|(_, row)| variants::files(row, &simulator.sources).ok());
-    simulator.pack = wide_enough(simulator.pack, files)?;
-    let audit = variants::Audit::new(rollouts, &simulator.pack, &simulator.sources)?;
-    let print = |text: &str| terminal::print(text).context("print to standard output");
-    print(&if *list { audit.list() } else { audit.report() })?;
-    if !protocols {
-        return Ok(());
-    }
-    let report = &mut |starts: &variants::Starts| print(&starts.to_string());
-    variants::compare(&audit, choice, simulator, report)
+    let simulator = open_simulator(simulator)?;
+    let owns = rollouts.iter().filter_map(|(_, row)| row.own.as_deref());
+    let files = owns.map(|own| TaskFiles::of_own(&simulator.sources, own));
+    let pack = wide_enough(simulator.pack, files)?;
+    let audit = variants::Audit::new(rollouts, &pack, &simulator.sources)?;
+    let text = if *list { audit.list() } else { audit.report() };
+    terminal::print(&text).context("print to standard output")
 }
 
 /// Opens a folder of the user's with all its files, if tasks need files beside LIBERO's.

@@ -96,7 +96,7 @@ impl Assignment {
         PolicySession {
             policy: &self.policy,
             session: self.session.as_str(),
-            suite: self.row.id.suite_name(),
+            suite: self.row.suite_name(),
             deadline: self.policy_deadline,
         }
     }

@@ -231,7 +231,7 @@ impl Run<'_> {
         let change = self.resumed.map(|resumed| resumed.change);
         let instruction = match change {
             None | Some(Change::Nudge) => stage.instruction(row, self.description),
-            Some(Change::Lift) => Cow::Owned(row.id.task().instruction()),
+            Some(Change::Lift) => Cow::Owned(row.canonical_instruction()),
         };
         let physics = &mut self.parts.physics_secs;
         let begun = add_processor_time(physics, || stage.begin(row, *realisation));
@@ -254,7 +254,7 @@ impl Run<'_> {
         let session = self.assignment.policy_session();
         add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
-            self.actor.reset(session, row.id.suite_name(), &instruction, seed)
+            self.actor.reset(session, row.suite_name(), &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));

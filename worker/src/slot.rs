@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::{fs, io, process, thread};
 
 use benchmark::attempt::AttemptId;
+use scene::SceneError;
 use sim::{SceneFolder, SimError, Simulator, SimulatorConfig};
 use tokio::signal::unix::{SignalKind, signal};
 use transport::{Access, chain};
@@ -20,7 +21,7 @@ use crate::parent::{FromParent, Parent};
 use crate::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
-use crate::variants::{Prepared, VariantsError};
+use crate::variants::Prepared;
 
 /// Capacity of the queue of assignments: the parent never queues a second assignment.
 const ASSIGNMENT_QUEUE: usize = 1;
@@ -150,11 +151,9 @@ fn run_assignment(
 fn prepare(
     assignment: &Assignment,
     simulator: &Simulator,
-) -> Result<Option<(Prepared, Assignment)>, VariantsError> {
-    if assignment.row.id.variant().is_none() {
-        return Ok(None);
-    }
-    let prepared = Prepared::new(&assignment.row, simulator.sources())?;
+) -> Result<Option<(Prepared, Assignment)>, SceneError> {
+    let Some(own) = &assignment.row.own else { return Ok(None) };
+    let prepared = Prepared::new(&assignment.row, own, simulator.sources())?;
     let completed = Assignment { row: prepared.row.clone(), ..assignment.clone() };
     Ok(Some((prepared, completed)))
 }

@@ -14,8 +14,7 @@ pub struct Stage<'a> {
     simulator: &'a mut Simulator,
     /// Task files in place of those of the row's task.
     files: Option<TaskFiles>,
-    /// Initial conditions of a rollout of LIBERO's family or of a suite file, in place of the row's
-    /// perturbation.
+    /// Initial conditions of a rollout of LIBERO's family or of a suite file.
     variant: Option<VariantStart>,
     /// True if the renderer is named even for a rollout without frames.
     always_names_renderer: bool,
@@ -70,25 +69,24 @@ impl<'a> Stage<'a> {
             (None, _) => self.simulator.begin(row, realisation),
             (Some(files), None) => self.simulator.begin_with(files.clone(), row, realisation),
             (Some(files), Some(variant)) => {
-                self.simulator.begin_variant(files.clone(), row, variant)
+                self.simulator.begin_variant(files.clone(), row, realisation, variant)
             }
         }
     }
 
     /// Returns the policy's instruction, normally the row's. A policy that accepts only the
     /// canonical wording gets the canonical wording, so that the language axis has no effect on the
-    /// policy instead of failing every rollout. A user's own task and a task of a suite file have
-    /// one wording, which every policy gets.
+    /// policy instead of failing every rollout. A user's own task has one wording, which every policy
+    /// gets.
     pub(crate) fn instruction<'r>(
         &self,
         row: &'r ManifestRow,
         description: &Description,
     ) -> Cow<'r, str> {
         let is_canonical_only = description.about.language() == wire::Language::CanonicalOnly;
-        let has_canonical_instruction =
-            self.files.is_none() || self.variant.is_some() && row.own.is_none();
+        let has_canonical_instruction = self.files.is_none() || self.variant.is_some();
         match is_canonical_only && has_canonical_instruction {
-            true => Cow::Owned(row.id.task().instruction()),
+            true => Cow::Owned(row.canonical_instruction()),
             false => Cow::Borrowed(&row.instruction),
         }
     }

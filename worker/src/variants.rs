@@ -6,10 +6,8 @@ mod audit;
 mod case;
 mod choice;
 mod error;
-mod protocols;
 
 pub use audit::{Audit, lack};
-pub use case::{Prepared, files, row, rows_of_file};
+pub use case::{Prepared, read_suite_file, row};
 pub use choice::Choice;
 pub use error::VariantsError;
-pub use protocols::{Starts, compare};

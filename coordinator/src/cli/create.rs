@@ -70,6 +70,10 @@ Examples:
   The tasks of a further benchmark, as a suite file describes them:
     coordinator campaign create --name libero_90 --policy student \\
         --endpoint http://127.0.0.1:7412 --suite-file examples/suites/libero_90.json
+  Its tasks under two axes:
+    coordinator campaign create --name libero_90-L2 --policy student \\
+        --endpoint http://127.0.0.1:7412 --suite-file examples/suites/libero_90.json \\
+        --axes camera,lighting --configs 0-1
   The specification as a file, to be edited and used:
     coordinator campaign create --name first --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks libero_goal --print-spec > first.json
@@ -80,6 +84,9 @@ Examples:
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
 #[command(group = ArgGroup::new("rollouts").multiple(true)
     .args(["tasks", "rows", "suite", "suite_file"]))]
+#[command(group = ArgGroup::new("of_design").multiple(true).args(&DESIGN_FLAGS[1..])
+    .requires("designed"))]
+#[command(group = ArgGroup::new("designed").multiple(true).args(["tasks", "axes"]))]
 #[command(group = ArgGroup::new("of_benchmark").args(["suite", "suite_file"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
@@ -214,7 +221,7 @@ struct StopFlags {
 #[derive(Args, Debug)]
 #[command(next_help_heading = "Design")]
 struct DesignFlags {
-    #[arg(long, help = axes_help(), value_delimiter = ',', default_value = "metric")]
+    #[arg(long, help = axes_help(), value_delimiter = ',')]
     axes: Vec<String>,
     /// Further conditions of several axes: names joined by +, such as `camera+robot`; `pairs`; or
     /// `all`, every subset of the axes.
@@ -384,8 +391,10 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
 /// Returns the specification, and the variants that it leaves out.
 fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking), CommandError> {
     let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
+    let is_perturbed = !arguments.design.axes.is_empty();
+    let of_suite_file = || is_perturbed.then(|| design_of_flags(arguments)).transpose();
     let (rollouts, left_out) =
-        match (&arguments.flags.rows, arguments.variants.rows(&chosen_tasks)?) {
+        match (&arguments.flags.rows, arguments.variants.rows(&chosen_tasks, of_suite_file)?) {
             (Some(path), _) => (Rollouts::Rows(read_manifest(path)?), Lacking::default()),
             (None, Some((rows, left_out))) => (Rollouts::Rows(rows), left_out),
             (None, None) => {
@@ -424,16 +433,17 @@ fn axes_help() -> String {
     let others = AXES.iter().filter(|def| !def.is_combined);
     let others: Vec<String> = others.map(|def| format!("`{}`, {}", def.name, def.about)).collect();
     format!(
-        "Axes, each run alone and all simultaneously: names, `metric` (all but language), `all`, \
-         or `none`. Appended after a comma, and never combined with other axes: {}",
+        "Axes, each run alone and all simultaneously: names, `metric` (all but language; the \
+         default for --tasks), `all`, or `none`. Appended after a comma, and never combined with other axes: {}",
         others.join("; ")
     )
 }
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
     let mut axes = Vec::new();
-    for name in &arguments.design.axes {
-        match name.as_str() {
+    let given = arguments.design.axes.iter().map(String::as_str);
+    for name in given.chain(arguments.design.axes.is_empty().then_some("metric")) {
+        match name {
             "metric" => axes.extend(Axis::METRIC),
             "all" => axes.extend(Axis::ALL),
             "none" | "" => {}

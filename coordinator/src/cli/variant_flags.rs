@@ -8,7 +8,7 @@ use benchmark::family::plus::{Dimension, Variant};
 use benchmark::family::pro::{ProSuite, STATES};
 use benchmark::family::protocol::Protocol;
 use benchmark::family::{Lacking, ParaFilters, PlusFilters, ProFilters, Selection};
-use benchmark::{Benchmark, ManifestRow, TaskRef};
+use benchmark::{Benchmark, Design, ManifestRow, TaskRef};
 use clap::Args;
 use terminal::number;
 
@@ -16,15 +16,15 @@ use super::command::{CommandError, usage};
 use super::create::parse_names;
 use super::files::read_suite_file;
 
-/// Flags of a design, which conflict with `--suite`, `--suite-file`, `--rows` and `--spec`.
+/// Flags of a design, which conflict with `--rows` and `--spec`.
 #[rustfmt::skip]
 pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "axes", "subsets", "levels", "configs", "nominal", "design_seed", "directions",
     "placebo_radius", "placebo_configs",
 ];
 
-/// Flags that conflict with `--suite-file`, in addition to [`DESIGN_FLAGS`]: those for LIBERO-Plus,
-/// LIBERO-PRO and LIBERO-Para, and the other sources of rollouts.
+/// Flags that conflict with `--suite-file`: those for LIBERO-Plus, LIBERO-PRO and LIBERO-Para, and
+/// the other sources of rollouts.
 #[rustfmt::skip]
 const VARIANT_FLAGS: [&str; 10] = [
     "suite", "rows", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
@@ -35,15 +35,14 @@ const VARIANT_FLAGS: [&str; 10] = [
 #[derive(Args, Debug)]
 #[command(next_help_heading = "LIBERO-Plus, LIBERO-PRO, LIBERO-Para and further benchmarks")]
 pub(super) struct VariantFlags {
-    /// Variants of a benchmark instead of a design: `libero-plus`, `libero-pro` or `libero-para`,
-    /// with the unperturbed rollouts of their tasks.
-    #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
-        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "rows")]
+    /// Variants of a benchmark: `libero-plus`, `libero-pro` or `libero-para`; with --axes, under a
+    /// design, otherwise as released, with the unperturbed rollouts of their tasks.
+    #[arg(long, value_name = "BENCHMARK", hide_short_help = true, conflicts_with = "rows")]
     suite: Option<Benchmark>,
-    /// Tasks of a suite file instead of a design: a further benchmark in JSON, as docs/FAMILY.md
-    /// describes it. `-` reads standard input.
+    /// Tasks of a suite file, a further benchmark in JSON as docs/FAMILY.md describes it; with
+    /// --axes, under a design, otherwise unperturbed. `-` reads standard input.
     #[arg(long, value_name = "FILE", hide_short_help = true,
-        conflicts_with_all = DESIGN_FLAGS, conflicts_with_all = VARIANT_FLAGS)]
+        conflicts_with_all = VARIANT_FLAGS)]
     suite_file: Option<PathBuf>,
     /// Evaluation protocol, see docs/FAMILY.md. If omitted, that of the benchmark's published
     /// table: `plus-official`, `pro-official` or `para-official`.
@@ -105,15 +104,21 @@ pub(super) struct VariantFlags {
 
 impl VariantFlags {
     /// Returns the rows of the selected rollouts, and the variants that are left out; `None` if no
-    /// benchmark and no suite file is named. `tasks` are those of `--tasks`.
+    /// benchmark and no suite file is named. `tasks` are those of `--tasks`, `design` is that of the
+    /// suite file's tasks, if one is given.
     pub(super) fn rows(
         &self,
         tasks: &[TaskRef],
+        design: impl FnOnce() -> anyhow::Result<Option<Design>>,
     ) -> Result<Option<(Vec<ManifestRow>, Lacking)>, CommandError> {
         if let Some(path) = &self.suite_file {
             let mut file = read_suite_file(path)?;
             file.trials = self.trials.unwrap_or(file.trials);
-            return Ok(Some((file.rows(), Lacking::default())));
+            let rows = match design().map_err(usage)? {
+                Some(design) => file.perturbed(design).map_err(usage)?,
+                None => file.rows(),
+            };
+            return Ok(Some((rows, Lacking::default())));
         }
         let Some(benchmark) = self.suite else { return Ok(None) };
         self.check_filters(benchmark, !tasks.is_empty()).map_err(usage)?;
@@ -137,7 +142,11 @@ impl VariantFlags {
             }),
         };
         let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
-        selection.rows(&protocol, self.runnable).map(Some).map_err(usage)
+        let rows = match design().map_err(usage)? {
+            Some(design) => selection.perturbed(&protocol, self.runnable, design),
+            None => selection.rows(&protocol, self.runnable),
+        };
+        rows.map(Some).map_err(usage)
     }
 
     /// Refuses filters that only another benchmark has.

@@ -140,7 +140,7 @@ fn perturbation_values(shown: &ShownRollout) -> Markup {
     let axes: Vec<Axis> = shown.row.axes().axes().collect();
     // The row's instruction is empty if only the variant's BDDL file holds it.
     let instruction = &shown.row.instruction;
-    let is_different = !instruction.is_empty() && *instruction != shown.id.task().instruction();
+    let is_different = !instruction.is_empty() && *instruction != shown.row.canonical_instruction();
     let values = |axis| {
         html! { ul.values { @for line in shown.row.describe(axis) { li { (line) } } } }
     };

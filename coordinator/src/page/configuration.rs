@@ -56,7 +56,7 @@ pub(super) async fn sheet(
     let main = html! {
         (crumbs(campaign))
         h1 { (heading(requested)) }
-        p.instruction { "“" (requested_rollout.row.id.task().instruction()) "”" }
+        p.instruction { "“" (requested_rollout.row.canonical_instruction()) "”" }
         p {
             code { (requested.task()) } ", initial state " (requested_rollout.row.init_id)
             @if let Some(effect) = transition(&shown, replicate) { ". " strong { (effect) } }

@@ -117,11 +117,14 @@ pub struct Explanation {
 
 impl Rollouts {
     /// Returns the protocol of the rows, if they are of LIBERO's family or of a suite file; `None`
-    /// for LIBERO-CTRL.
+    /// for LIBERO-CTRL, and for a suite file's tasks under its axes.
     pub fn protocol(&self) -> Option<&str> {
         match self {
             Self::Design(_) => None,
-            Self::Rows(rows) => rows.first()?.protocol.as_deref(),
+            Self::Rows(rows) => {
+                let first = rows.first()?;
+                first.protocol.as_deref().filter(|_| first.id.variant().is_some())
+            }
         }
     }
 

@@ -72,6 +72,12 @@ pub enum DesignError {
     #[error("axis `{axis}` {}", not_at(*axis, *level))]
     NotAt { axis: Axis, level: Level },
     #[error(
+        "axis `language` has paraphrases of LIBERO's instructions only, and {task} has `{given}`: \
+         remove it from `axes`, write one of LIBERO's as the task's `prompt`, or import a manifest \
+         with its own instructions"
+    )]
+    NoParaphrase { task: TaskRef, given: String },
+    #[error(
         "the design has up to {rows} rollouts, at most {MAX_ROWS} are possible: divide the design"
     )]
     TooLarge {

@@ -69,6 +69,56 @@ impl Design {
         Ok(rows)
     }
 
+    /// Returns the design's rows over a user's tasks. `tasks` has a row of each in the order of their
+    /// indices; the rollouts start from the first `states` initial states.
+    pub fn expand_over(
+        self,
+        tasks: &[ManifestRow],
+        states: u16,
+    ) -> Result<Vec<ManifestRow>, DesignError> {
+        let design = Self { tasks: tasks.iter().map(|row| row.id.task()).collect(), ..self };
+        let mut nominal = BTreeSet::new();
+        let mut rows = Vec::new();
+        for mut row in design.expand()? {
+            let task = row.id.task();
+            let given = &tasks[usize::from(task.index())];
+            row.init_id %= states;
+            if row.id.config().is_none() {
+                if !nominal.insert((task, row.init_id)) {
+                    continue;
+                }
+                row.id = RolloutId::nominal(task, row.init_id);
+                row.init_slot = row.init_id;
+            }
+            let mut own = given.own.clone();
+            if let Some(own) = &mut own {
+                given.suite_name().clone_into(&mut own.suite);
+            }
+            let instruction = given.instruction.clone();
+            row = ManifestRow {
+                max_steps: given.max_steps,
+                settle_steps: given.settle_steps,
+                protocol: given.protocol.clone(),
+                files: given.files,
+                instruction,
+                own,
+                ..row
+            };
+            if row.id.condition().axes(design.axis_set()).contains(Axis::Language) {
+                let mut all = TaskRef::all();
+                let Some(alike) = all.find(|other| other.instruction() == row.instruction) else {
+                    return Err(DesignError::NoParaphrase { task, given: row.instruction });
+                };
+                if let Some(own) = &mut row.own {
+                    own.instruction.clone_from(&row.instruction);
+                }
+                row.paraphrase_as(alike);
+            }
+            rows.push(row);
+        }
+        Ok(rows)
+    }
+
     /// Returns the row of a configuration under a condition of this design at any level,
     /// including levels that the design does not run; the direction is the same at all levels.
     pub fn row_at(
@@ -119,13 +169,20 @@ impl Design {
         if condition.sets_execution() {
             row.execution = execution_at(level).expect("a validated design has delays");
         }
-        if axes.contains(Axis::Language) {
-            // A level has ten paraphrases; configurations from 10 on repeat them.
-            let paraphrase = paraphrase(task, level, config % PRESETS);
-            row.instruction = paraphrase.text;
-            row.variant_id = Some(paraphrase.variant_id);
+        if axes.contains(Axis::Language) && task.suite() != Suite::Own {
+            row.paraphrase_as(task);
         }
         row
+    }
+}
+
+impl ManifestRow {
+    /// Gives the row its level's paraphrase of a task's instruction.
+    fn paraphrase_as(&mut self, task: TaskRef) {
+        // A level has ten paraphrases; configurations from 10 on repeat them.
+        let paraphrase = paraphrase(task, self.id.level(), self.id.number() % PRESETS);
+        self.instruction = paraphrase.text;
+        self.variant_id = Some(paraphrase.variant_id);
     }
 }
 

@@ -17,4 +17,4 @@ pub mod protocol;
 
 pub use case::{Case, Further, Subject};
 pub use lack::{Lack, Lacking};
-pub use selection::{ParaFilters, PlusFilters, ProFilters, Selection, SelectionError};
+pub use selection::{ParaFilters, PlusFilters, ProFilters, Selection, SelectionError, rows_of_all};

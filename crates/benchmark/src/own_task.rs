@@ -1,5 +1,5 @@
-//! Description of a suite file's task, part of every manifest row of the task. A worker needs no
-//! suite file: the row and the task's files suffice.
+//! Description of a task of LIBERO's family or of a suite file, part of every manifest row of the
+//! task. A worker needs neither benchmark nor suite file: the row and the task's files suffice.
 
 use serde::{Deserialize, Serialize};
 
@@ -55,18 +55,33 @@ pub struct OwnTask {
     pub bddl: String,
     /// Path of the initial states, relative to `folder`.
     pub states: String,
+    /// Folder of the initial states; `None` for `folder`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub states_folder: Option<String>,
+    /// Path of a BDDL file in the folder of `--sources` whose sentence, with its capital letters, is
+    /// the prompt; `None` if the prompt is the row's instruction or that of `bddl`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sentence: Option<String>,
     pub start: Beginning,
     pub seed: u32,
     #[serde(default)]
     pub changes: Changes,
+    /// Suite that is sent to the policy; empty if the rollout's id names it.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub suite: String,
+    /// Instruction that the row's instruction paraphrases; empty if it is the row's.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub instruction: String,
 }
 
 impl OwnTask {
     /// Checks a task that did not come from a suite file.
     pub(crate) fn check(&self) -> Result<(), InvalidField> {
-        for (field, path) in
-            [("folder", &self.folder), ("bddl", &self.bddl), ("states", &self.states)]
-        {
+        let required = [("folder", &self.folder), ("bddl", &self.bddl), ("states", &self.states)];
+        let optional = [("states_folder", &self.states_folder), ("sentence", &self.sentence)];
+        let optional =
+            optional.into_iter().filter_map(|(field, path)| Some((field, path.as_ref()?)));
+        for (field, path) in required.into_iter().chain(optional) {
             check_path(&format!("own.{field}"), path)?;
         }
         self.changes.check(&|field| format!("own.changes.{field}"))

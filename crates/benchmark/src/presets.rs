@@ -104,8 +104,12 @@ impl Suite {
 }
 
 impl TaskRef {
-    pub fn eval_init_ids(self) -> [u16; 10] {
-        self.suite().presets().eval_init_ids[usize::from(self.index())]
+    /// Initial states of configurations 0 to 9; none for a task of a suite file.
+    pub fn eval_init_ids(self) -> &'static [u16] {
+        match self.suite() {
+            Suite::Own => &[],
+            suite => &suite.presets().eval_init_ids[usize::from(self.index())],
+        }
     }
 }
 

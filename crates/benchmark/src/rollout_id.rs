@@ -14,7 +14,8 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for ex
                        spatial/t0/camera/L2/c00 or spatial/t0/simultaneous/L2/c00, or \
                        SUITE/tN/nominal/iNN for initial state NN, or \
                        SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00, or \
-                       own/tN/own:SUITE/iNN for a suite file";
+                       own/tN/own:SUITE/iNN for a suite file, whose perturbed rollouts are \
+                       own/tN/CONDITION/LEVEL/cNN";
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
@@ -25,7 +26,9 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for ex
 /// A rollout of LIBERO's family has the benchmark, the benchmark's name of the change, and an
 /// initial state: `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`,
 /// `goal/t8/plus:unperturbed/i00`. A rollout of a suite file has the position of the task in the
-/// file, and the name of the task's suite: `own/t17/own:libero_90/i03`.
+/// file, and the name of the task's suite: `own/t17/own:libero_90/i03`. If the file's tasks are
+/// perturbed, their rollouts, nominal ones included, are named as those of LIBERO's tasks:
+/// `own/t17/camera/L2/c00`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
@@ -144,21 +147,23 @@ impl FromStr for RolloutId {
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let parts: Vec<&str> = text.split('/').collect();
-        if let ["own", task, name, state] = parts.as_slice() {
-            return parse_own(task, name, state).ok_or_else(|| unknown(text));
-        }
-        let (suite, task, rest) = match parts.as_slice() {
-            [suite, task, rest @ ..] => (suite.parse::<Suite>()?, number(task, "t"), rest),
-            _ => return Err(unknown(text)),
+        let [suite, task, rest @ ..] = parts.as_slice() else { return Err(unknown(text)) };
+        let index = number(task, "t");
+        let task = match *suite {
+            "own" => index.and_then(|index| u8::try_from(index).ok()).map(TaskRef::own),
+            _ => {
+                let suite: Suite = suite.parse()?;
+                index.map(|index| TaskRef::new(suite, index.into())).transpose()?
+            }
         };
-        let task = TaskRef::new(suite, u32::from(task.ok_or_else(|| unknown(text))?))?;
+        let task = task.ok_or_else(|| unknown(text))?;
         if let [name, state] = rest
             && name.contains(':')
         {
             let state = init_state(state).ok_or_else(|| unknown(text))?;
             let name: VariantName = name.parse()?;
-            let is_of_a_benchmark = name.benchmark().is_some();
-            return is_of_a_benchmark
+            let is_of_suite = name.benchmark().is_none() == (task.suite() == Suite::Own);
+            return is_of_suite
                 .then_some(Self::of_variant(task, name, state))
                 .ok_or_else(|| unknown(text));
         }
@@ -181,14 +186,6 @@ impl FromStr for RolloutId {
 }
 
 serde_as_text!(RolloutId);
-
-/// Returns the id of a rollout of a suite file: `own/tN/own:SUITE/iNN`.
-fn parse_own(task: &str, name: &str, state: &str) -> Option<RolloutId> {
-    let task = TaskRef::own(u8::try_from(number(task, "t")?).ok()?);
-    let name: VariantName = name.parse().ok()?;
-    let is_own = name.benchmark().is_none();
-    is_own.then_some(RolloutId::of_variant(task, name, init_state(state)?))
-}
 
 fn init_state(text: &str) -> Option<u16> {
     number(text, "i").filter(|state| *state < INIT_STATES_PER_TASK)
@@ -228,6 +225,8 @@ mod tests {
         check("goal/t9/clean/i49", "goal/t9/nominal/i49");
         check("spatial/t0/clean/L0/c07", "spatial/t0/nominal/i07");
         check("spatial/t0/camera/L0/c03", "spatial/t0/camera/L0/c03");
+        check("own/t255/camera/L2/c00", "own/t255/camera/L2/c00");
+        check("own/t1/nominal/i00", "own/t1/nominal/i00");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
@@ -285,8 +284,7 @@ mod tests {
             "own/t1/own:unperturbed/i00",
             "own/t1/plus:noise_30/i00",
             "goal/t1/own:libero_90/i00",
-            "own/t1/nominal/i00",
-            "own/t1/camera/L2/c00",
+            "own/t256/camera/L2/c00",
             "",
             "spatial",
             "spatial/t0/camera/L2",

@@ -54,7 +54,7 @@ pub struct ManifestRow {
     /// LIBERO-CTRL. If a row has a protocol and only the BDDL file has the instruction,
     /// `instruction` is empty.
     pub protocol: Option<String>,
-    /// Task of a suite file; `None` for all other rows.
+    /// Files and conditions of the task of a row with a protocol; `None` for all other rows.
     pub own: Option<Box<OwnTask>>,
     /// Benchmark whose task files the rollout needs; `None` if LIBERO's or its own suffice.
     pub files: Option<Benchmark>,
@@ -133,6 +133,22 @@ impl ManifestRow {
         }
     }
 
+    /// Returns the instruction without the language axis.
+    pub fn canonical_instruction(&self) -> String {
+        match &self.own {
+            Some(own) if self.variant_id.is_some() => own.instruction.clone(),
+            Some(_) if self.id.task().suite() == Suite::Own => self.instruction.clone(),
+            _ => self.id.task().instruction(),
+        }
+    }
+
+    /// Returns the name of the suite that is sent to a policy: that of LIBERO's suite, or the name
+    /// in the suite file.
+    pub fn suite_name(&self) -> &str {
+        let own = self.own.as_deref().map(|own| own.suite.as_str());
+        own.filter(|suite| !suite.is_empty()).unwrap_or(self.id.suite_name())
+    }
+
     /// Returns the row of the same configuration restricted to some of its axes, each
     /// perturbed as in this row, which must perturb all of `axes`.
     pub fn only(&self, axes: AxisSet) -> Result<Self, UnknownName> {
@@ -141,8 +157,11 @@ impl ManifestRow {
         let id = RolloutId::perturbed(id.task(), Condition::of(axes), id.level(), config)?;
         let mut row = Self { id, perturbation: self.perturbation.only(axes), ..self.clone() };
         if !axes.contains(Axis::Language) {
-            row.instruction = id.task().instruction();
+            row.instruction = self.canonical_instruction();
             row.variant_id = None;
+            if let Some(own) = &mut row.own {
+                own.instruction.clear();
+            }
         }
         Ok(row)
     }
@@ -180,7 +199,7 @@ pub enum RowError {
     )]
     Protocol { id: RolloutId, given: Option<String> },
     #[error(
-        "read row {id}: `own` is {}; write a task in rows of suite files only",
+        "read row {id}: `own` is {}; write a task in rows with a protocol only",
         if *is_given { "given" } else { "missing" }
     )]
     Own { id: RolloutId, is_given: bool },
@@ -295,12 +314,13 @@ impl TryFrom<FlatRow> for ManifestRow {
             let given = flat.policy_seed;
             return Err(RowError::PolicySeed { id, given });
         }
-        if flat.protocol.is_some() != id.variant().is_some() {
+        let has_protocol = id.variant().is_some() || id.task().suite() == Suite::Own;
+        if flat.protocol.is_some() != has_protocol {
             let given = flat.protocol;
             return Err(RowError::Protocol { id, given });
         }
         let is_given = flat.own.is_some();
-        if is_given != (id.task().suite() == Suite::Own) {
+        if is_given != has_protocol {
             return Err(RowError::Own { id, is_given });
         }
         if let Some(Err(problem)) = flat.own.as_deref().map(OwnTask::check) {

@@ -7,6 +7,10 @@ use std::collections::BTreeSet;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 
+use crate::axis::Axis;
+use crate::axis_set::AxisSet;
+use crate::design::{Design, DesignError};
+use crate::expansion::NoSuchRow;
 use crate::own_task::{
     Beginning, Changes, InvalidField, OwnTask, check_path, check_range, invalid, quoted,
 };
@@ -277,6 +281,38 @@ impl SuiteFile {
         rows.collect()
     }
 
+    /// Returns the rows of a design, whose tasks are those of this file and whose initial states are
+    /// the first [`Self::trials`] of each task.
+    pub fn perturbed(&self, design: Design) -> Result<Vec<ManifestRow>, DesignError> {
+        let tasks = Self { trials: 1, ..self.clone() }.rows();
+        design.expand_over(&tasks, self.trials)
+    }
+
+    /// Returns the row of an id. A simultaneous rollout perturbs the metric axes.
+    pub fn row_of(&self, id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
+        let problem = |problem: String| NoSuchRow { id, problem };
+        let rows = match (id.variant(), id.condition()) {
+            (Some(_), _) => Self { trials: INIT_STATES_PER_TASK, ..self.clone() }.rows(),
+            (None, condition) => {
+                let of_id = condition.axes(AxisSet::EMPTY);
+                let metric = AxisSet::from_iter(Axis::METRIC);
+                let all = metric.axes().chain(of_id.without(metric).axes());
+                let design = Design {
+                    axes: all.filter(|_| id.config().is_some()).collect(),
+                    subsets: if of_id.len() > 1 { vec![of_id] } else { Vec::new() },
+                    levels: id.config().map_or_else(Vec::new, |_| vec![id.level()]),
+                    configs: vec![id.config().unwrap_or_default()],
+                    ..Design::v0_1()
+                };
+                let rows = self.perturbed(design);
+                rows.map_err(|error| problem(error.to_string()))?
+            }
+        };
+        let mut rows = rows.into_iter();
+        let unknown = || problem("the file has no such task, suite or initial state".to_owned());
+        rows.find(|row| row.id == id).ok_or_else(unknown)
+    }
+
     fn tasks(&self) -> impl Iterator<Item = (&FileSuite, &FileTask)> {
         let suites = self.suites.iter();
         suites.flat_map(|suite| suite.tasks.iter().map(move |task| (suite, task)))
@@ -295,9 +331,13 @@ impl SuiteFile {
             folder: self.folder(),
             bddl: suite.bddl.replace(NAME, &task.name),
             states: suite.states.replace(NAME, &task.name),
+            states_folder: None,
+            sentence: None,
             start: self.start,
             seed: self.seed,
             changes: task.changes.clone(),
+            suite: String::new(),
+            instruction: String::new(),
         }
     }
 }

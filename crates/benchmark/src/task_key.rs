@@ -4,7 +4,7 @@ use std::fmt;
 
 use crate::benchmark::Benchmark;
 use crate::row::ManifestRow;
-use crate::suite::TaskRef;
+use crate::suite::{Suite, TaskRef};
 
 /// A task with the benchmark whose task files it needs beside LIBERO's. Displays as
 /// `libero_goal/8`, or as `libero_goal/8+libero-plus`. Workers name the keys that they cannot run.
@@ -20,8 +20,8 @@ impl TaskKey {
     /// digest, as in `own/17+libero_90@0123456789abcdef`, since two files may have the same name.
     pub fn of_row(row: &ManifestRow) -> String {
         let task = row.id.task();
-        match (&row.own, &row.protocol) {
-            (Some(_), Some(protocol)) => format!("{task}+{protocol}"),
+        match (task.suite(), &row.protocol) {
+            (Suite::Own, Some(protocol)) => format!("{task}+{protocol}"),
             _ => Self { task, files: row.files }.to_string(),
         }
     }

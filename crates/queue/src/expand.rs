@@ -1,6 +1,6 @@
 //! Expansion of a campaign's specification into the rows of the job table, and the digest of the
-//! specification. The crate `libero-ctrl` defines the contents and the order of
-//! manifest rows: in a design, a configuration's nominal rollout precedes its perturbed rollouts.
+//! specification. `ManifestRow` defines the contents of rows, `CampaignSpec::expand` their order: in
+//! a design, a configuration's nominal rollout precedes its perturbed rollouts.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -25,7 +25,7 @@ pub struct NewCampaign {
     /// Name of the policy at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Realisation, as [`benchmark::Realisation`] names it.
+    /// Name of the realisation.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
@@ -51,7 +51,7 @@ pub struct NewCampaign {
 pub struct NewJob {
     pub rollout_id: String,
     pub replicate: u32,
-    /// Key of the task, such as "libero_goal/3" or "libero_goal/3+libero-plus".
+    /// Key of the task and its files, as [`TaskKey::of_row`] writes it.
     pub task: String,
     /// Id of the initial state.
     pub init_id: u16,

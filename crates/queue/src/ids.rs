@@ -1,5 +1,5 @@
 //! Identifiers, each with a type of its own, so that a job number is never taken for an attempt
-//! number, nor a worker's id for a campaign's name. The crate `libero-ctrl` defines rollout ids.
+//! number, nor a worker's id for a campaign's name. The benchmark's `RolloutId` names rollouts.
 
 use std::fmt;
 

@@ -242,8 +242,8 @@ pub const INVARIANTS: [Invariant; 20] = [
              OR r.success IS NOT r.outcome ->> 'success' OR r.steps IS NOT r.outcome ->> 'steps'
              OR r.wall_secs IS NOT r.outcome ->> 'wall_secs'",
     },
-    // The results of one initial state agree on scene and initial state. Rollouts of LIBERO's
-    // family and of suite files, whose ids have a colon, have scenes and states of their own.
+    // The results of one initial state agree on scene and initial state. Rollouts of
+    // variants, whose ids have a colon, have scenes and states of their own.
     Invariant {
         name: "configurations_agree",
         query: "SELECT format('initial state %d of %s in campaign %s has %d scenes and %d initial '

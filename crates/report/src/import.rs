@@ -145,6 +145,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
     if reading.records.is_empty() {
         return Err(ImportError::Empty { path: rows });
     }
+    let is_of_variants = reading.records.iter().any(|record| record.id.variant().is_some());
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned());
     let name = name.unwrap_or_else(|| ".".to_owned());
     Ok(Subject {
@@ -168,7 +169,8 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         reported_nominal: about.nominal,
         setups: Setups::default(),
         derived: None,
-        protocol: reading.protocol,
+        // A suite file's tasks under LIBERO-CTRL's axes are reported as LIBERO's are.
+        protocol: reading.protocol.filter(|_| is_of_variants),
         early_stop: None,
     })
 }

@@ -12,10 +12,9 @@ use std::thread;
 use crate::assets::{
     AssetsError, Fetch, Fetched, FileFacts, Origin, Report, Table, VerifiedFolder,
 };
-use benchmark::family::para;
-use benchmark::family::plus::inventory;
-use benchmark::family::pro::ProSuite;
+use benchmark::OwnTask;
 use benchmark::family::protocol::Benchmark;
+use benchmark::family::{para, rows_of_all};
 
 use crate::error::SceneError;
 use crate::sources::Sources;
@@ -77,33 +76,17 @@ const fn package(benchmark: Benchmark) -> &'static str {
 
 /// Returns the files of a benchmark below the package's folder, except LIBERO's own.
 pub(crate) fn required_files(benchmark: Benchmark) -> BTreeSet<String> {
+    let folder = benchmark.name();
     let mut required_files = BTreeSet::new();
-    match benchmark {
-        Benchmark::Plus => {
-            for entry in inventory() {
-                let variant = entry.variant;
-                let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
-                if stem != variant.task.name() {
-                    required_files.insert(format!("bddl_files/{suite}/{stem}.bddl"));
-                }
-                if variant.has_one_state() {
-                    required_files.insert(format!("init_files/{}", variant.states_file()));
-                }
-            }
+    for row in rows_of_all(benchmark) {
+        let Some(own) = row.own.map(|own| *own) else { continue };
+        let OwnTask { bddl, states, states_folder, sentence, .. } = own;
+        if own.folder == folder {
+            required_files.insert(bddl);
+            required_files.extend(states_folder.is_none().then_some(states));
         }
-        Benchmark::Para => {
-            let files = para::inventory().iter().map(para::Paraphrase::bddl_file);
-            required_files.extend(files);
-        }
-        Benchmark::Pro => {
-            for suite in ProSuite::all() {
-                for task in suite.suite.tasks() {
-                    let name = task.name();
-                    required_files.insert(format!("bddl_files/{suite}/{name}.bddl"));
-                    required_files.insert(format!("init_files/{suite}/{name}.pruned_init.npz"));
-                }
-            }
-        }
+        let sentence = sentence.as_ref().and_then(|path| path.split_once('/'));
+        required_files.extend(sentence.map(|(_, path)| path.to_owned()));
     }
     required_files
 }

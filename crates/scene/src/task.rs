@@ -3,10 +3,6 @@
 use std::path::PathBuf;
 use std::time::SystemTime;
 
-use benchmark::family::para::Paraphrase;
-use benchmark::family::plus::Variant;
-use benchmark::family::pro::ProSuite;
-use benchmark::family::protocol::Benchmark;
 use benchmark::{OwnTask, TaskRef};
 
 use crate::bddl::Problem;
@@ -38,41 +34,22 @@ impl TaskFiles {
         Self { bddl: sources.bddl_file(suite, stem), init: sources.init_file(suite, stem) }
     }
 
-    /// LIBERO's own files or, where the variant differs, fetched ones.
-    pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
-        let libero_files = Self::of_task(sources, variant.task);
-        let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
-        let fetched = Sources::family(sources.dir(), Benchmark::Plus);
-        let bddl = match stem == variant.task.name() {
-            true => libero_files.bddl,
-            false => fetched.join(format!("bddl_files/{suite}/{stem}.bddl")),
-        };
-        let init = match variant.has_one_state() {
-            true => fetched.join("init_files").join(variant.states_file()),
-            false => libero_files.init,
-        };
-        Self { bddl, init }
-    }
-
-    pub fn of_pro_task(sources: &Sources, suite: ProSuite, task: TaskRef) -> Self {
-        let (folder, name) = (Sources::family(sources.dir(), Benchmark::Pro), task.name());
+    pub fn of_own(sources: &Sources, task: &OwnTask) -> Self {
+        let folder = |name: &str| Sources::suite_folder(sources.dir(), name);
+        let states = task.states_folder.as_ref().unwrap_or(&task.folder);
         Self {
-            bddl: folder.join(format!("bddl_files/{suite}/{name}.bddl")),
-            init: folder.join(format!("init_files/{suite}/{name}.pruned_init.npz")),
+            bddl: folder(&task.folder).join(&task.bddl),
+            init: folder(states).join(&task.states),
         }
     }
 
-    pub fn of_paraphrase(sources: &Sources, paraphrase: &Paraphrase) -> Self {
-        let folder = Sources::family(sources.dir(), Benchmark::Para);
-        Self {
-            bddl: folder.join(paraphrase.bddl_file()),
-            ..Self::of_task(sources, paraphrase.task)
+    /// As [`of_own`](Self::of_own), with the BDDL file that has the prompt, if that is another one.
+    pub fn with_prompt(sources: &Sources, task: &OwnTask) -> Self {
+        let mut files = Self::of_own(sources, task);
+        if let Some((folder, path)) = task.sentence.as_ref().and_then(|path| path.split_once('/')) {
+            files.bddl = Sources::suite_folder(sources.dir(), folder).join(path);
         }
-    }
-
-    pub fn of_suite_file(sources: &Sources, task: &OwnTask) -> Self {
-        let folder = Sources::suite_folder(sources.dir(), &task.folder);
-        Self { bddl: folder.join(&task.bddl), init: folder.join(&task.states) }
+        files
     }
 
     pub fn problem(&self) -> Result<Problem, SceneError> {

@@ -2,6 +2,7 @@
 //! and actions, each passed through its perturbation.
 
 use benchmark::attempt::Realised;
+use benchmark::family::plus::CameraPose as WrittenPose;
 use benchmark::streams::Randomness;
 use benchmark::{Axis, ManifestRow, Realisation, RobotShift};
 use nalgebra::Matrix3;
@@ -12,11 +13,11 @@ use crate::mujoco::{Data, ObjectKind};
 use crate::observation::{Frame, Observation, ObservationRequest};
 use crate::perturb::{
     ActuationStage, ArmState, FrameSource, IkSolution, Jacobian, JointRange, Light, Lighting,
-    SensorStage, shift_camera, shift_lighting, solve_shifted_pose,
+    SensorStage, look_at_point, shift_camera, shift_lighting, solve_shifted_pose,
 };
-use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene};
+use crate::ready_scene::{PERTURBED_CAMERA, ReadyScene, nominal_camera};
 use crate::render::LazyDrawer;
-use crate::variant::{Noise, VariantStart};
+use crate::variant::{Noise, Start, VariantStart};
 use crate::{Environment, perturb};
 
 pub const NO_OP: [f64; 7] = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0];
@@ -75,6 +76,18 @@ impl Conditions {
 
     /// `state` (time, qpos, qvel) replaces the row's initial state.
     pub fn begin_at(
+        state: Vec<f64>,
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        row: &ManifestRow,
+        realisation: Realisation,
+    ) -> Result<Self, SimError> {
+        Self::begin_seen_from(None, state, ready, environment, row, realisation)
+    }
+
+    /// `view` replaces the scene's pose of `agentview`.
+    fn begin_seen_from(
+        view: Option<WrittenPose>,
         mut state: Vec<f64>,
         ready: &ReadyScene,
         environment: &mut Environment,
@@ -93,8 +106,16 @@ impl Conditions {
             realise(Axis::Robot, ik.joints.as_slice().to_vec());
         }
         environment.load(&state);
+        if let Some(pose) = view {
+            environment.place_camera(pose)?;
+        }
         if let Some(shift) = &perturbation.camera {
-            let moved = apply_camera(ready, environment, shift)?;
+            let nominal = nominal_camera(environment)?;
+            let look_at = match view {
+                None => ready.look_at,
+                Some(_) => look_at_point(&nominal, &[ready.look_at]),
+            };
+            let moved = apply_camera(&nominal, look_at, environment, shift)?;
             realise(Axis::Camera, moved.to_vec());
         }
         if let Some(shift) = &perturbation.lighting {
@@ -142,6 +163,29 @@ impl Conditions {
             settle_steps: row.settle_steps,
             policy_steps: 0,
         })
+    }
+
+    /// Starts a suite file's task under LIBERO-CTRL's axes: at the variant's state, posture and view,
+    /// which the row perturbs.
+    pub fn begin_perturbed_variant(
+        ready: &ReadyScene,
+        environment: &mut Environment,
+        row: &ManifestRow,
+        realisation: Realisation,
+        variant: &VariantStart,
+    ) -> Result<Self, SimError> {
+        let released = ready.state(row.init_id)?;
+        let noise = variant.begin(ready, environment, released)?;
+        let mut state = match variant.start {
+            Start::InitialState => released.to_vec(),
+            Start::Reset => environment.state(),
+        };
+        if let Some(posture) = variant.posture {
+            state[1..=ARM_JOINTS].copy_from_slice(&posture);
+        }
+        let view = variant.view.zip(ready.written_camera).map(|(view, pose)| view.apply(pose));
+        let begun = Self::begin_seen_from(view, state, ready, environment, row, realisation)?;
+        Ok(Self { noise, ..begun })
     }
 
     /// Lets the scene settle, since objects float in the released states.
@@ -213,7 +257,12 @@ impl<'a> Episode<'a> {
     ) -> Result<Self, SimError> {
         let conditions = match variant {
             None => Conditions::begin(ready, environment, row, realisation)?,
-            Some(variant) => Conditions::begin_variant(ready, environment, row, variant)?,
+            Some(variant) if row.id.variant().is_some() => {
+                Conditions::begin_variant(ready, environment, row, variant)?
+            }
+            Some(variant) => {
+                Conditions::begin_perturbed_variant(ready, environment, row, realisation, variant)?
+            }
         };
         let init_id = usize::from(row.init_id);
         let digests = Digests {
@@ -310,11 +359,12 @@ fn frame_source(camera: &str) -> Result<FrameSource, SimError> {
 }
 
 fn apply_camera(
-    ready: &ReadyScene,
+    nominal: &perturb::CameraPose,
+    look_at: [f64; 3],
     environment: &mut Environment,
     shift: &benchmark::CameraShift,
 ) -> Result<[f64; 7], SimError> {
-    let pose = shift_camera(&ready.camera, ready.look_at, shift);
+    let pose = shift_camera(nominal, look_at, shift);
     let model = environment.model_mut();
     let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
     model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.position);

@@ -20,7 +20,6 @@ pub struct ReadyScene {
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) states: InitialStates,
     pub(crate) digest: String,
-    pub(crate) camera: CameraPose,
     pub(crate) look_at: [f64; 3],
     /// Pose of the perturbed camera as written in the arena, before MuJoCo normalises it.
     pub(crate) written_camera: Option<WrittenPose>,
@@ -58,7 +57,6 @@ impl ReadyScene {
             compiled,
             states,
             digest,
-            camera,
             look_at,
             written_camera: written_camera(&problem.name),
             files,
@@ -89,7 +87,7 @@ pub fn written_camera(problem: &str) -> Option<WrittenPose> {
     arena(problem)?.camera(PERTURBED_CAMERA)
 }
 
-fn nominal_camera(environment: &Environment) -> Result<CameraPose, SimError> {
+pub(crate) fn nominal_camera(environment: &Environment) -> Result<CameraPose, SimError> {
     let model = environment.model();
     let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
     Ok(CameraPose {

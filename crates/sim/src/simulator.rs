@@ -92,14 +92,16 @@ impl Simulator {
         self.begin_episode(files, row, realisation, None)
     }
 
-    /// Prepares the start of settling; of the row, uses initial state and number of settling steps.
+    /// Prepares the start of settling; of a variant's row, uses initial state and number of settling
+    /// steps, of a perturbed one's all.
     pub fn begin_variant(
         &mut self,
         files: TaskFiles,
         row: &ManifestRow,
+        realisation: Realisation,
         variant: &VariantStart,
     ) -> Result<Episode<'_>, SimError> {
-        self.begin_episode(files, row, Realisation::Matched, Some(variant))
+        self.begin_episode(files, row, realisation, Some(variant))
     }
 
     fn begin_episode(

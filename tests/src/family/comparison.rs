@@ -8,7 +8,7 @@ use benchmark::family::plus::{Variant, entry};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::{Case, Subject};
 use benchmark::numpy::LegacyRng;
-use benchmark::{Benchmark, ManifestRow, Suite, TaskRef};
+use benchmark::{Benchmark, ManifestRow, Realisation, Suite, TaskRef};
 use proto::checks::CAMERAS;
 use scene::{AssetPack, Sources, TaskFiles};
 use sha2::{Digest, Sha256};
@@ -189,13 +189,14 @@ impl Comparison {
         let case = Case { subject, task, trial: 0 };
         let protocol = protocol.parse()?;
         let row = case.row(&protocol);
-        let files = worker::variants::files(&row, &self.sources)?;
+        let own = row.own.as_deref().context("every case has a task")?;
+        let files = TaskFiles::with_prompt(&self.sources, own);
         for file in [&files.bddl, &files.init] {
             if !file.is_file() {
                 return Ok(Err(Skipped(format!("there is no {}", file.display()))));
             }
         }
-        let Prepared { mut files, start, row } = Prepared::new(&row, &self.sources)?;
+        let Prepared { mut files, start, row } = Prepared::new(&row, own, &self.sources)?;
         let group = match subject {
             Subject::Plus(entry) => entry.dimension().to_string(),
             Subject::Pro(_) => suite.rsplit('_').next().unwrap_or_default().to_owned(),
@@ -238,11 +239,13 @@ fn findings(
     if let Some(expected) = numbers("reset") {
         let row = ManifestRow { settle_steps: 0, ..run.row.clone() };
         let start = VariantStart { start: Start::Reset, ..run.start.clone() };
-        let mut episode = simulator.begin_variant(run.files.clone(), &row, &start)?;
+        let mut episode =
+            simulator.begin_variant(run.files.clone(), &row, Realisation::Matched, &start)?;
         let found = episode.environment().state();
         findings.states = difference(&found, expected)?;
     }
-    let mut episode = simulator.begin_variant(run.files.clone(), &run.row, &run.start)?;
+    let mut episode =
+        simulator.begin_variant(run.files.clone(), &run.row, Realisation::Matched, &run.start)?;
     episode.settle()?;
     let expected = numbers("official").context("the state after the waits is missing")?;
     let found = episode.environment().state();
@@ -279,7 +282,7 @@ fn findings(
     if let Some(expected) = numbers("trial-1") {
         let row = ManifestRow { init_id: 1, ..run.row };
         let start = VariantStart { earlier_resets: 1, ..run.start };
-        let mut episode = simulator.begin_variant(run.files, &row, &start)?;
+        let mut episode = simulator.begin_variant(run.files, &row, Realisation::Matched, &start)?;
         episode.settle()?;
         let found = episode.environment().state();
         findings.states = findings.states.max(difference(&found, expected)?);

@@ -9,7 +9,7 @@ use benchmark::family::plus::{Assets, Entry};
 use benchmark::family::protocol::Benchmark;
 use benchmark::family::{Case, Further, Lack, Lacking, Subject};
 use benchmark::presets::ENV_SEED;
-use benchmark::{ManifestRow, OwnTask};
+use benchmark::{ManifestRow, OwnTask, Suite};
 use scene::assets::Table;
 use scene::catalog::category;
 use scene::{
@@ -17,7 +17,6 @@ use scene::{
 };
 use sha2::{Digest, Sha256};
 
-use super::case::files;
 use super::error::VariantsError;
 
 /// Chosen rollouts, each with its row and the reason why it cannot run, if any.
@@ -48,11 +47,6 @@ impl Audit {
         Ok(Self(audited))
     }
 
-    /// Returns the rollouts that have all their files.
-    pub fn runnable(&self) -> impl Iterator<Item = Case> {
-        self.0.iter().filter(|(.., lack)| lack.is_none()).map(|(case, ..)| *case)
-    }
-
     fn lacking(&self) -> Lacking {
         let mut lacking = Lacking::default();
         for (case, _, lack) in &self.0 {
@@ -72,7 +66,10 @@ impl Audit {
             counts[1] += usize::from(lack.is_none());
         }
         let mut text = format!("{:<32}{:>9}{:>9}\n", "", "rollouts", "can run");
-        let total = ("all".to_owned(), [self.0.len(), self.runnable().count()]);
+        let total = (
+            "all".to_owned(),
+            [self.0.len(), self.0.iter().filter(|(.., lack)| lack.is_none()).count()],
+        );
         for (name, [all, runnable]) in counts.into_iter().chain([total]) {
             let _ = writeln!(text, "{name:<32}{all:>9}{runnable:>9}");
         }
@@ -106,7 +103,7 @@ impl Audit {
 
 /// Lists the files of LIBERO-Plus' archive that a variant needs, or the task files of a suite file.
 fn needs(case: &Case, row: &ManifestRow) -> String {
-    if let Some(own) = &row.own {
+    if let (Subject::Own(_), Some(own)) = (case.subject, &row.own) {
         let OwnTask { folder, bddl, states, .. } = &**own;
         return format!("{folder}/{bddl} {folder}/{states}");
     }
@@ -149,11 +146,17 @@ struct Checked {
 
 impl Checked {
     fn new(row: &ManifestRow, pack: &AssetPack, sources: &Sources) -> Result<Self, VariantsError> {
-        let (lack, states) = match &row.own {
+        let own = row.own.as_deref().filter(|_| row.id.task().suite() == Suite::Own);
+        let (lack, states) = match own {
             None => (lack_in_benchmark(row, pack, sources)?, None),
             Some(own) => match check_own(own, row.instruction.is_empty(), pack, sources) {
                 Ok(states) => (None, Some(states)),
-                Err(lack) => (Some(lack), None),
+                Err(lack) => match (&lack, row.files) {
+                    (Lack::Folder(_) | Lack::File(_), Some(benchmark)) => {
+                        (Some(Lack::TaskFiles(benchmark)), None)
+                    }
+                    _ => (Some(lack), None),
+                },
             },
         };
         Ok(Self { lack, states })
@@ -180,7 +183,8 @@ fn lack_in_benchmark(
     if lack.is_some() {
         return Ok(lack);
     }
-    let files = files(row, sources)?;
+    let Some(own) = &row.own else { return Ok(None) };
+    let files = TaskFiles::with_prompt(sources, own);
     match case.benchmark() {
         Some(benchmark) if !(files.bddl.is_file() && files.init.is_file()) => {
             Ok(Some(Lack::TaskFiles(benchmark)))
@@ -256,8 +260,9 @@ fn check_own(
     if !folder.is_dir() {
         return Err(Lack::Folder(text(&folder)));
     }
-    let files = TaskFiles::of_suite_file(sources, own);
-    let mut missing = [&files.bddl, &files.init].into_iter();
+    let files = TaskFiles::of_own(sources, own);
+    let with_prompt = TaskFiles::with_prompt(sources, own);
+    let mut missing = [&with_prompt.bddl, &files.bddl, &files.init].into_iter();
     if let Some(path) = missing.find(|path| !path.is_file()) {
         return Err(Lack::File(text(path)));
     }
@@ -271,7 +276,7 @@ fn check_own(
             });
         }
     }
-    let instruction = if prompts_by_file { files.instruction().map(drop) } else { Ok(()) };
+    let instruction = if prompts_by_file { with_prompt.instruction().map(drop) } else { Ok(()) };
     let states = instruction.and_then(|()| try_scene(&files, pack, sources));
     states.map_err(|error| Lack::Scene(transport::chain(&error)))
 }

@@ -5,11 +5,11 @@ use std::fs;
 use std::path::Path;
 
 use benchmark::family::corruption::Corruption;
-use benchmark::family::plus::{View, start_posture};
+use benchmark::family::plus::View;
 use benchmark::family::protocol::{Beginning, Benchmark, Protocol};
-use benchmark::family::{Case, SelectionError, Subject};
+use benchmark::family::{Case, SelectionError};
 use benchmark::{ManifestRow, OwnTask, RolloutId, SuiteFile};
-use scene::{Sources, TaskFiles};
+use scene::{SceneError, Sources, TaskFiles};
 use sim::{Start, VariantStart};
 
 use super::error::VariantsError;
@@ -28,48 +28,18 @@ impl Prepared {
     /// Prepares the rollout of a row of LIBERO's family or of a suite file.
     ///
     /// # Errors
-    /// If the row names no case of a benchmark, or its BDDL file cannot be read.
-    pub fn new(row: &ManifestRow, sources: &Sources) -> Result<Self, VariantsError> {
-        let (files, sentence) = files_and_sentence(row, sources)?;
-        let (prompt, start) = match &row.own {
-            Some(own) => {
-                let prompt = Some(row.instruction.clone()).filter(|prompt| !prompt.is_empty());
-                (prompt, start_of_own(own, row.init_id))
-            }
-            None => {
-                let (case, protocol) = Case::of_row(row)?;
-                let prompt = case.prompt(&protocol, Some(&sentence));
-                (prompt, start(&case, &protocol))
-            }
-        };
-        let instruction = prompt.unwrap_or(sentence);
-        // No policy is ever sent an empty instruction.
-        let instruction = match instruction.is_empty() {
-            true => files.instruction()?,
-            false => instruction,
+    /// If the BDDL file has the prompt and cannot be read.
+    pub fn new(row: &ManifestRow, own: &OwnTask, sources: &Sources) -> Result<Self, SceneError> {
+        let with_prompt = TaskFiles::with_prompt(sources, own);
+        let instruction = match (row.instruction.is_empty(), &own.sentence) {
+            (false, _) => row.instruction.clone(),
+            (true, Some(_)) => with_prompt.sentence()?,
+            // No policy is ever sent an empty instruction.
+            (true, None) => with_prompt.instruction()?,
         };
         let row = ManifestRow { instruction, ..row.clone() };
+        let (files, start) = (TaskFiles::of_own(sources, own), start(own, row.init_id));
         Ok(Self { files, start, row })
-    }
-}
-
-/// Returns the files that are simulated, and the sentence of the row's BDDL file. The rollouts of
-/// LIBERO-Para are simulated from LIBERO's own files, which differ in the sentence only, so that all
-/// sentences of a task share a compiled scene.
-fn files_and_sentence(
-    row: &ManifestRow,
-    sources: &Sources,
-) -> Result<(TaskFiles, String), VariantsError> {
-    let files = files(row, sources)?;
-    match row.id.variant().and_then(|name| name.benchmark()) {
-        Some(Benchmark::Para) => {
-            let sentence = files.sentence()?;
-            Ok((TaskFiles::of_task(sources, row.id.task()), sentence))
-        }
-        _ => {
-            let sentence = files.problem()?.language;
-            Ok((files, sentence))
-        }
     }
 }
 
@@ -89,40 +59,21 @@ pub fn row(
     Ok(case.row(&protocol))
 }
 
-/// Returns the rows of a suite file, with `trials` in place of its own number of trials if given.
+/// Reads a suite file.
 ///
 /// # Errors
 /// If the file cannot be read or is invalid.
-pub fn rows_of_file(path: &Path, trials: Option<u16>) -> Result<Vec<ManifestRow>, VariantsError> {
+pub fn read_suite_file(path: &Path) -> Result<SuiteFile, VariantsError> {
     let path = || path.to_owned();
     let text = fs::read_to_string(path());
     let text = text.map_err(|source| VariantsError::File { path: path(), source })?;
     let file = SuiteFile::from_json(&text);
-    let mut file = file.map_err(|source| VariantsError::SuiteFile { path: path(), source })?;
-    file.trials = trials.unwrap_or(file.trials);
-    Ok(file.rows())
+    file.map_err(|source| VariantsError::SuiteFile { path: path(), source })
 }
 
-/// Returns the files of a row's task.
-///
-/// # Errors
-/// If the row names no case of a benchmark.
-pub fn files(row: &ManifestRow, sources: &Sources) -> Result<TaskFiles, SelectionError> {
-    if let Some(own) = &row.own {
-        return Ok(TaskFiles::of_suite_file(sources, own));
-    }
-    let (case, _) = Case::of_row(row)?;
-    Ok(match case.subject {
-        Subject::Unperturbed | Subject::Own(_) => TaskFiles::of_task(sources, case.task),
-        Subject::Plus(entry) => TaskFiles::of_variant(sources, &entry.variant),
-        Subject::Pro(suite) => TaskFiles::of_pro_task(sources, suite, case.task),
-        Subject::Para(paraphrase) => TaskFiles::of_paraphrase(sources, paraphrase),
-    })
-}
-
-/// Returns the initial conditions of a suite file's task. As in the harnesses of LIBERO, the
+/// Returns the initial conditions of a task. As in the harnesses of LIBERO, the
 /// generator is seeded once and the environment reset for every trial.
-fn start_of_own(own: &OwnTask, trial: u16) -> VariantStart {
+fn start(own: &OwnTask, trial: u16) -> VariantStart {
     let changes = &own.changes;
     let view = |[horizontal, vertical, scale, pan, tilt]: [u16; 5]| View {
         horizontal,
@@ -136,30 +87,10 @@ fn start_of_own(own: &OwnTask, trial: u16) -> VariantStart {
         posture: changes.posture,
         seed: own.seed,
         earlier_resets: u32::from(trial),
-        start: reset_or_state(own.start),
+        start: match own.start {
+            Beginning::InitialState => Start::InitialState,
+            Beginning::Reset => Start::Reset,
+        },
         corruption: changes.noise.and_then(Corruption::new),
-    }
-}
-
-fn reset_or_state(beginning: Beginning) -> Start {
-    match beginning {
-        Beginning::InitialState => Start::InitialState,
-        Beginning::Reset => Start::Reset,
-    }
-}
-
-/// Returns the initial conditions of a case.
-fn start(case: &Case, protocol: &Protocol) -> VariantStart {
-    let variant = match case.subject {
-        Subject::Plus(entry) => Some(entry.variant),
-        _ => None,
-    };
-    VariantStart {
-        view: variant.map(|variant| variant.view()),
-        posture: variant.and_then(|variant| variant.robot()).and_then(start_posture),
-        seed: protocol.seed,
-        earlier_resets: u32::from(case.trial),
-        start: reset_or_state(protocol.beginning),
-        corruption: variant.and_then(|variant| variant.corruption()).and_then(Corruption::new),
     }
 }

@@ -3,12 +3,11 @@
 use std::io;
 use std::path::PathBuf;
 
+use benchmark::SuiteFileError;
 use benchmark::family::SelectionError;
-use benchmark::{RolloutId, SuiteFileError};
 use scene::SceneError;
-use sim::SimError;
 
-/// Reason why variants cannot be listed or started.
+/// Reason why variants cannot be listed.
 #[derive(Debug, thiserror::Error)]
 pub enum VariantsError {
     /// The choice of variants is invalid, or files of some are missing.
@@ -17,15 +16,6 @@ pub enum VariantsError {
     /// A task file is missing or wrong.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// A rollout cannot be brought to its start.
-    #[error("start {id}")]
-    Start {
-        /// The rollout.
-        id: RolloutId,
-        /// Error of the simulator.
-        #[source]
-        source: Box<SimError>,
-    },
     /// The suite file is invalid.
     #[error("use {}", path.display())]
     SuiteFile {

@@ -2,13 +2,16 @@
 //! sentence of LIBERO-Para, or an unmodified task of LIBERO for comparison, from one of its initial
 //! states.
 
-use crate::{ManifestRow, Perturbation, RolloutId, TaskRef, VariantName};
+use crate::{Changes, ManifestRow, OwnTask, Perturbation, RolloutId, TaskRef, VariantName};
 
 use crate::family::para::{Paraphrase, paraphrase};
-use crate::family::plus::{Assets, Change, Entry, Prompt, Variant, entry};
+use crate::family::plus::{Assets, Change, Entry, Prompt, Variant, View, entry, start_posture};
 use crate::family::pro::{Kind, ProSuite};
 use crate::family::protocol::{Benchmark, Protocol};
 use crate::family::selection::SelectionError;
+
+/// Folder of LIBERO's task files in that of the sources.
+const LIBERO: &str = "libero";
 
 /// Origin of a rollout's task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -87,13 +90,6 @@ impl Case {
         }
     }
 
-    pub fn own_id(&self) -> Option<RolloutId> {
-        match self.subject {
-            Subject::Own(suite) => Some(RolloutId::of_variant(self.task, suite, self.trial)),
-            _ => None,
-        }
-    }
-
     /// Returns the rollout's id. `benchmark` is the benchmark that the id names; a rollout of a
     /// suite file ignores it.
     pub fn id(&self, benchmark: Benchmark) -> RolloutId {
@@ -130,23 +126,14 @@ impl Case {
         }
     }
 
-    /// Returns the policy's prompt. `sentence` is that of the BDDL file, in lower case except for
-    /// LIBERO-Para; returns `None` if it is the prompt and not given.
-    pub fn prompt(&self, protocol: &Protocol, sentence: Option<&str>) -> Option<String> {
-        let is_file_sentence = match self.subject {
-            Subject::Plus(entry) => matches!(entry.variant.change, Change::Language(_)),
-            Subject::Para(_) => true,
-            _ => false,
-        };
-        if (is_file_sentence || protocol.prompt == Prompt::Bddl) && sentence.is_none() {
-            return None;
+    /// Returns the policy's prompt; empty if only the BDDL file has it.
+    fn prompt(&self, protocol: &Protocol) -> String {
+        match self.subject {
+            Subject::Para(_) => String::new(),
+            Subject::Plus(entry) => protocol.prompt.of(&entry.variant, ""),
+            _ if protocol.prompt == Prompt::Bddl => String::new(),
+            _ => self.task.instruction(),
         }
-        let sentence = sentence.unwrap_or_default();
-        Some(match self.subject {
-            Subject::Plus(entry) => protocol.prompt.of(&entry.variant, sentence),
-            Subject::Para(_) => sentence.to_owned(),
-            _ => protocol.prompt.of_task(self.task, sentence),
-        })
     }
 
     /// Returns the manifest row of the rollout, with the trial's initial state and the protocol's
@@ -155,13 +142,63 @@ impl Case {
         let id = self.id(protocol.benchmark);
         let row = ManifestRow::new(id, self.trial, self.trial, Perturbation::default());
         ManifestRow {
-            instruction: self.prompt(protocol, None).unwrap_or_default(),
+            instruction: self.prompt(protocol),
             settle_steps: protocol.waits,
             max_steps: protocol.budget(self.task.suite()),
             protocol: Some(protocol.name.to_owned()),
+            own: Some(Box::new(self.own(protocol))),
             files: self.own_files(),
             ..row
         }
+    }
+
+    /// Returns the task's files, in LIBERO's folder or the benchmark's, and its conditions. The
+    /// rollouts of LIBERO-Para are simulated from LIBERO's files, which differ in the sentence only,
+    /// so that all sentences of a task share a compiled scene.
+    fn own(&self, protocol: &Protocol) -> OwnTask {
+        let (suite, name) = (self.task.suite(), self.task.name());
+        let mut own = OwnTask {
+            folder: LIBERO.to_owned(),
+            bddl: format!("bddl_files/{suite}/{name}.bddl"),
+            states: format!("init_files/{suite}/{name}.pruned_init"),
+            states_folder: None,
+            sentence: None,
+            start: protocol.beginning,
+            seed: protocol.seed,
+            changes: Changes::default(),
+            suite: String::new(),
+            instruction: String::new(),
+        };
+        match self.subject {
+            Subject::Unperturbed | Subject::Own(_) => {}
+            Subject::Plus(Entry { variant, .. }) => {
+                let stem = variant.bddl_stem();
+                if stem != name {
+                    Benchmark::Plus.name().clone_into(&mut own.folder);
+                    own.bddl = format!("bddl_files/{suite}/{stem}.bddl");
+                    match variant.has_one_state() {
+                        true => own.states = format!("init_files/{}", variant.states_file()),
+                        false => own.states_folder = Some(LIBERO.to_owned()),
+                    }
+                }
+                let View { horizontal, vertical, scale, pan, tilt } = variant.view();
+                own.changes = Changes {
+                    view: Some([horizontal, vertical, scale, pan, tilt]),
+                    posture: variant.robot().and_then(start_posture),
+                    noise: variant.corruption(),
+                    sha256: None,
+                };
+            }
+            Subject::Pro(suite) => {
+                Benchmark::Pro.name().clone_into(&mut own.folder);
+                own.bddl = format!("bddl_files/{suite}/{name}.bddl");
+                own.states = format!("init_files/{suite}/{name}.pruned_init.npz");
+            }
+            Subject::Para(paraphrase) => {
+                own.sentence = Some(format!("{}/{}", Benchmark::Para, paraphrase.bddl_file()));
+            }
+        }
+        own
     }
 
     /// Returns the benchmark whose task files the rollout needs; `None` if LIBERO's suffice.
@@ -255,15 +292,11 @@ mod tests {
         assert_eq!(noise.row(&official).instruction, text);
         let language = case("goal/t8/plus:language_1/i00");
         assert_eq!(language.row(&official).instruction, "");
-        let prompt = language.prompt(&official, Some("set the bowl down"));
-        assert_eq!(prompt.as_deref(), Some("set the bowl down"));
         let bddl: Protocol = "pro-bddl".parse().expect("a protocol");
-        assert_eq!(case("goal/t8/pro:lan/i00").prompt(&bddl, None), None);
+        assert_eq!(case("goal/t8/pro:lan/i00").row(&bddl).instruction, "");
         let official = Protocol::PARA_OFFICIAL;
         let hint = case("goal/t8/para:act_hint_1/i00");
         assert_eq!(hint.row(&official).instruction, "");
-        let prompt = hint.prompt(&official, Some("The plate is empty"));
-        assert_eq!(prompt.as_deref(), Some("The plate is empty"));
         let pair = case("goal/t8/para:unperturbed/i00").row(&official);
         assert_eq!(pair.instruction, "put the bowl on the plate");
         assert_eq!((pair.settle_steps, pair.max_steps, pair.init_id), (10, 300, 0));

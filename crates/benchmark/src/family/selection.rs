@@ -1,6 +1,6 @@
 //! Selection of variants, and the rows of their rollouts.
 
-use crate::{ManifestRow, RolloutId, Suite, TaskRef, UnknownName};
+use crate::{Design, DesignVersion, ManifestRow, RolloutId, Suite, TaskRef, UnknownName};
 
 use crate::family::case::{Case, Subject};
 use crate::family::lack::{Lack, Lacking};
@@ -83,6 +83,44 @@ impl Selection {
         let cases = Case::unperturbed(&variants).into_iter().chain(variants);
         Ok((cases.map(|case| case.row(protocol)).collect(), lacking))
     }
+}
+
+impl Selection {
+    /// Returns the rows of a design, whose tasks are the chosen variants in their order, numbered as
+    /// a suite file's tasks are; and the variants that no worker can run.
+    pub fn perturbed(
+        &self,
+        protocol: &Protocol,
+        runnable: bool,
+        design: Design,
+    ) -> Result<(Vec<ManifestRow>, Lacking), SelectionError> {
+        let (mut tasks, lacking) = self.rows(protocol, runnable)?;
+        let is_variant = |id: RolloutId| id.variant().is_some_and(|name| !name.is_unperturbed());
+        tasks.retain(|row| row.init_id == 0 && is_variant(row.id));
+        let name = format!("{}@{}", self.benchmark(), DesignVersion::of_manifest(&tasks));
+        let count = tasks.len();
+        for (index, row) in (0..).zip(&mut tasks) {
+            let index = u8::try_from(index).map_err(|_| SelectionError::TooMany { count })?;
+            if let Some(own) = &mut row.own {
+                row.id.suite_name().clone_into(&mut own.suite);
+            }
+            row.id = RolloutId::nominal(TaskRef::own(index), 0);
+            row.protocol = Some(name.clone());
+        }
+        let states = if let Self::Pro(filters) = self { filters.trials } else { 1 };
+        let rows = design.expand_over(&tasks, states);
+        Ok((rows.map_err(|error| SelectionError::Design(error.to_string()))?, lacking))
+    }
+}
+
+/// Returns the rows of a benchmark's first trials, under its official protocol.
+pub fn rows_of_all(benchmark: Benchmark) -> Vec<ManifestRow> {
+    let cases = match benchmark {
+        Benchmark::Plus => PlusFilters::default().cases().expect("no variant is named"),
+        Benchmark::Pro => ProFilters { suites: ProSuite::all().collect(), trials: 1 }.cases(),
+        Benchmark::Para => ParaFilters::default().cases(),
+    };
+    cases.iter().map(|case| case.row(&Protocol::official(benchmark))).collect()
 }
 
 impl PlusFilters {
@@ -180,6 +218,10 @@ pub enum SelectionError {
         advice(chosen - lacking)
     )]
     Lacking { lacking: usize, chosen: usize, report: String },
+    #[error("perturb {count} variants: at most 256 are possible, choose fewer")]
+    TooMany { count: usize },
+    #[error("{0}")]
+    Design(String),
     #[error(transparent)]
     Variant(#[from] UnknownVariant),
     #[error(transparent)]
@@ -196,6 +238,8 @@ fn advice(runnable: usize) -> &'static str {
 #[cfg(test)]
 mod tests {
     use std::collections::BTreeSet;
+
+    use crate::{Level, OwnTask, manifest};
 
     use super::*;
     use crate::family::pro::STATES;
@@ -253,6 +297,30 @@ mod tests {
             let first = ids.iter().position(|id| !id.contains(":unperturbed/")).expect("variants");
             assert!(first > 0 && ids[first..].iter().all(|id| id.contains(variants)), "{variants}");
         }
+    }
+
+    #[test]
+    fn variants_take_every_axis_as_liberos_tasks_do() {
+        let protocol = Protocol::PRO_OFFICIAL;
+        let design = Design { levels: vec![Level::L2], configs: vec![0, 1, 2], ..Design::v0_1() };
+        let swapped = of_pro("libero_goal_swap", 3);
+        let (rows, _) = swapped.perturbed(&protocol, false, design.clone()).expect("rows");
+        assert_eq!(rows.len(), 10 * 3 + 10 * 3 * 7);
+        assert!(rows.iter().all(|row| row.init_id < 3 && row.suite_name() == "libero_goal"));
+        let camera = rows.iter().find(|row| row.id.to_string() == "own/t8/camera/L2/c00");
+        let camera = camera.expect("a row");
+        let plain = swapped.rows(&protocol, false).expect("rows").0;
+        let plain = plain.iter().find(|row| row.id.to_string() == "goal/t8/pro:swap/i00");
+        let (plain, own) = (plain.expect("a row"), camera.own.as_deref().expect("a task"));
+        let suite = String::new();
+        assert_eq!(Some(OwnTask { suite, ..own.clone() }), plain.own.as_deref().cloned());
+        assert_eq!(own.bddl, "bddl_files/libero_goal_swap/put_the_bowl_on_the_plate.bddl");
+        assert_eq!((&camera.instruction, camera.files), (&plain.instruction, plain.files));
+        assert!(!camera.perturbation.axes().is_empty());
+        assert_eq!(manifest::parse(&manifest::to_text(&rows)), Ok(rows));
+        let noise = of_dimensions(&[Dimension::Noise]);
+        let error = noise.perturbed(&Protocol::PLUS_OFFICIAL, false, design);
+        assert_eq!(error.expect_err("too many"), SelectionError::TooMany { count: 1601 });
     }
 
     #[test]

@@ -1,4 +1,8 @@
 use super::*;
+use crate::condition::Condition;
+use crate::design::Nominal;
+use crate::level::Level;
+use crate::manifest;
 
 const FILE: &str = r#"{
     "name": "drawers", "start": "initial-state", "prompt": "name", "seed": 7, "waits": 10,
@@ -103,4 +107,59 @@ fn malformed_files_are_refused_with_the_field_and_the_remedy() {
     check(r#""push_it""#, r#""push_it", "push_it""#, "would count twice");
     let many = vec![r#""push_it""#; 255].join(",");
     check(r#""push_it""#, &many, "`suites` is 257 tasks: write 1 to 256");
+}
+
+#[test]
+fn the_files_tasks_take_every_axis_as_liberos_do() {
+    let design = |axes: &[Axis]| Design {
+        axes: axes.to_vec(),
+        levels: vec![Level::L1, Level::L2],
+        configs: vec![0, 4, 12],
+        nominal: Nominal::Eval,
+        ..Design::v0_1()
+    };
+    let file = SuiteFile::from_json(FILE).expect("a suite file");
+    let rows = file.perturbed(design(&Axis::METRIC)).expect("rows");
+    let of_libero = Design { tasks: TaskRef::all().take(3).collect(), ..design(&Axis::METRIC) };
+    let of_libero = of_libero.expand().expect("rows").into_iter().map(|row| row.perturbation);
+    let is_perturbed = |row: &&ManifestRow| row.id.config().is_some();
+    let perturbed: Vec<_> = rows.iter().filter(is_perturbed).map(|row| row.perturbation).collect();
+    let of_libero = of_libero.filter(|perturbation| !perturbation.axes().is_empty());
+    assert_eq!(perturbed, of_libero.collect::<Vec<_>>());
+    let nominal = rows.iter().filter(|row| row.id.condition() == Condition::of(AxisSet::EMPTY));
+    let nominal: BTreeSet<_> = nominal.map(|row| (row.id.task(), row.init_id)).collect();
+    assert_eq!(rows.len(), nominal.len() + 3 * 3 * 2 * 6);
+    for row in &rows {
+        assert!(row.init_id < 2 && nominal.contains(&(row.id.task(), row.init_id)), "{}", row.id);
+        let plain = &file.rows()[2 * usize::from(row.id.task().index())];
+        let own = row.own.as_deref().expect("a task").clone();
+        assert_eq!(Some(OwnTask { suite: String::new(), ..own }), plain.own.as_deref().cloned());
+        assert_eq!((row.suite_name(), &row.protocol), (plain.suite_name(), &plain.protocol));
+        assert_eq!((&row.instruction, row.max_steps), (&plain.instruction, plain.max_steps));
+    }
+    assert_eq!(rows[1].id.to_string(), "own/t0/camera/L1/c00");
+    for row in &rows {
+        assert_eq!(file.row_of(row.id).as_ref(), Ok(row));
+    }
+    assert!(file.row_of("own/t3/camera/L2/c00".parse().expect("an id")).is_err());
+    assert_eq!(manifest::parse(&manifest::to_text(&rows)), Ok(rows));
+
+    let error = file.perturbed(design(&Axis::ALL)).expect_err("no paraphrases").to_string();
+    assert!(error.contains("own/0 has `close the drawer`"), "{error}");
+    let names = ["close_the_drawer", "push_it"].into_iter();
+    let text = names.fold(FILE.replace("open the drawer", "turn on the stove"), |text, name| {
+        text.replace(name, "turn_on_the_stove")
+    });
+    let file = SuiteFile::from_json(&text).expect("a suite file");
+    let rows = file.perturbed(design(&Axis::ALL)).expect("rows");
+    let all = rows.iter().find(|row| row.id.condition() == Condition::of(AxisSet::ALL));
+    let all = all.expect("a simultaneous rollout");
+    let stove = "goal/t7/simultaneous/L1/c00".parse().map(crate::row_of);
+    assert_eq!(all.instruction, stove.expect("an id").expect("a row").instruction);
+    for row in rows.iter().filter(|row| row.id.to_string().starts_with("own/t0/")) {
+        if row.id.level() == all.id.level() && row.id.config() == Some(0) {
+            assert_eq!(all.only(row.axes()).expect("axes").instruction, row.instruction);
+            assert_eq!(row.canonical_instruction(), "turn on the stove");
+        }
+    }
 }

@@ -1,6 +1,8 @@
 //! Alteration of an existing campaign: its priority, policy or name. A request is applied in full
 //! or not at all.
 
+use benchmark::CampaignSpec;
+
 use super::campaigns::check_not_ended;
 use super::context::Context;
 use super::error::QueueError;
@@ -126,7 +128,7 @@ impl Context<'_> {
     async fn altered_spec(
         &mut self,
         campaign: &Campaign,
-        change: impl FnOnce(&mut benchmark::CampaignSpec),
+        change: impl FnOnce(&mut CampaignSpec),
     ) -> Result<(String, String), QueueError> {
         let spec = campaigns::spec(&mut self.tx, campaign.id).await?;
         altered(&spec, change).map_err(|error| QueueError::Unspecified {

@@ -140,7 +140,7 @@ pub(super) mod tests {
         let spec = json!({
             "name": "large",
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "tasks": ["libero_object"], "axes": ["camera", "sensor"], "levels": ["L1", "L2", "L3"],
+            "tasks": ["object"], "axes": ["camera", "sensor"], "levels": ["L1", "L2", "L3"],
             "configs": (0..10).collect::<Vec<_>>(), "replicates": 3, "record": "transitions",
         });
         NewCampaign::from_json(&spec.to_string()).expect("a campaign")

@@ -24,8 +24,8 @@ use crate::store::provenance::{self, ProvenanceId};
 use crate::store::workers::{self, Live};
 use crate::store::{StoreError, results};
 
-/// Initial states whose siblings are cached across transactions: about a dozen for each of LIBERO's
-/// 40 tasks. The siblings of all 2,000 initial states of a LIBERO-CTRL campaign take about 20 MB.
+/// Initial states whose siblings are cached across transactions: about a dozen for each of
+/// 40 tasks. The siblings of 2,000 initial states take about 20 MB.
 const MAX_INITIAL_STATES: usize = 512;
 /// Origins that are cached across transactions: one for each kind of worker and policy.
 const MAX_ORIGINS: usize = 4_096;

@@ -48,11 +48,11 @@ pub struct Assigned {
     /// The policy's name at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Realisation, as [`benchmark::Realisation`] names it.
+    /// Name of the realisation.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
-    /// Rollouts to be filmed, as [`benchmark::Record`] names them.
+    /// Name of the rollouts to be filmed.
     pub record: String,
 }
 
@@ -436,7 +436,7 @@ mod tests {
 
     #[test]
     fn missing_files_are_described_by_a_task_and_whether_others_wait() {
-        let tasks = ["libero_goal/3", "libero_goal/4"].map(str::to_owned);
+        let tasks = ["goal/3", "goal/4"].map(str::to_owned);
         let mut request = ClaimRequest {
             worker: WorkerId("a".to_owned()),
             claim: String::new(),
@@ -450,7 +450,7 @@ mod tests {
             let exhausted = BTreeSet::new();
             unserved.reason(&PendingClaim { place: 0, request, machine: "m", exhausted })
         };
-        let one = "campaign `c` needs assets that this worker lacks, for task libero_goal/3";
+        let one = "campaign `c` needs assets that this worker lacks, for task goal/3";
         assert_eq!(reason(&tasks[..1], &request).as_deref(), Some(one));
         let several = format!("{one} and others");
         assert_eq!(reason(&tasks, &request), Some(several));

@@ -121,7 +121,7 @@ mod tests {
             let spec = json!({
                 "name": name,
                 "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-                "tasks": ["libero_object/0"], "axes": ["camera"], "levels": ["L1"], "configs": [0],
+                "tasks": ["object/0"], "axes": ["camera"], "levels": ["L1"], "configs": [0],
             });
             let campaign = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
             queue.create_campaign(&campaign).await.expect("created");

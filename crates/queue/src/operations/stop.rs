@@ -154,7 +154,7 @@ mod tests {
         let spec = json!({
             "name": "early",
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
-            "tasks": ["libero_object/0"], "axes": ["camera", "sensor"], "levels": ["L2"],
+            "tasks": ["object/0"], "axes": ["camera", "sensor"], "levels": ["L2"],
             "configs": [0, 1, 2, 3], "stop": {"rule": "width(S_sim) < 0.1", "seed": 7},
         });
         let new = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
@@ -166,7 +166,7 @@ mod tests {
         let first = first.expect("read").expect("every rollout waits");
         drop(view);
         let look = CampaignLook {
-            used: vec![("libero_object/0".parse().expect("a task"), 0)],
+            used: vec![("object/0".parse().expect("a task"), 0)],
             units: 4,
             levels: BTreeMap::new(),
         };

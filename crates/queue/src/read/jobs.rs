@@ -26,7 +26,7 @@ pub struct JobFilter<'a> {
     pub state: Option<&'a str>,
     /// Outcome, which only committed jobs have: true if the goal was reached.
     pub success: Option<bool>,
-    /// A task such as "libero_object/0", or a suite such as "libero_object".
+    /// Key of a task, or name of a suite.
     pub task: Option<&'a str>,
     pub condition: Option<Condition>,
     pub level: Option<Level>,

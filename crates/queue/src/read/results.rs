@@ -41,7 +41,7 @@ pub struct ExportedRow {
 pub struct RecordRow {
     #[sqlx(flatten)]
     pub job: OutcomeRow,
-    /// Realisation, as [`benchmark::Realisation`] names it, once the job is committed.
+    /// Name of the realisation, once the job is committed.
     pub realisation: Option<String>,
     /// Result, once the job is committed.
     pub outcome: Option<StoredResult>,

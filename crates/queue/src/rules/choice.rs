@@ -41,7 +41,7 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
 /// A task of one campaign with waiting jobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WaitingTask {
-    /// Task, such as "libero_goal/3".
+    /// Key of the task.
     pub task: String,
     /// Place of the task's next job in the campaign's order of jobs.
     pub first_unit: i64,
@@ -124,14 +124,10 @@ mod tests {
             first_unit,
             leased,
         };
-        let tasks = [
-            waiting("libero_goal/0", 0, 2),
-            waiting("libero_goal/1", 9, 1),
-            waiting("libero_goal/2", 5, 1),
-        ];
+        let tasks = [waiting("goal/0", 0, 2), waiting("goal/1", 9, 1), waiting("goal/2", 5, 1)];
         let chosen = |tasks| choose_task(tasks).map(|task| task.task.as_str());
-        assert_eq!(chosen(&tasks), Some("libero_goal/2"));
-        assert_eq!(chosen(&tasks[..1]), Some("libero_goal/0"));
+        assert_eq!(chosen(&tasks), Some("goal/2"));
+        assert_eq!(chosen(&tasks[..1]), Some("goal/0"));
         assert_eq!(chosen(&[]), None);
     }
 }

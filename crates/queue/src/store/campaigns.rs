@@ -37,7 +37,7 @@ pub struct Campaign {
     pub realisation: String,
     /// Execution model as text: what the robot does while the policy computes an answer.
     pub execution: String,
-    /// Rollouts to be filmed, as [`benchmark::Record`] names them.
+    /// Name of the rollouts to be filmed.
     pub record: String,
     #[sqlx(json)]
     pub state: CampaignState,

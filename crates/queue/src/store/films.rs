@@ -18,7 +18,7 @@ pub struct Film {
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Realisation, as [`benchmark::Realisation`] names it.
+    /// Name of the realisation.
     pub realisation: String,
     /// The actions of every control step, as [`benchmark::attempt::Motion`] packs them.
     pub actions: Vec<u8>,

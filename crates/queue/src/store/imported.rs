@@ -37,7 +37,7 @@ pub(crate) async fn rows_of(
     .doing("read the rows of an archive")
 }
 
-/// A task, such as "libero_goal/3", with its numbers of policy steps and settling steps.
+/// Key of a task, with its numbers of policy steps and settling steps.
 pub(crate) type Budget = (String, i64, i64);
 
 /// Returns the step budgets of a campaign's rollouts.

@@ -21,7 +21,7 @@ use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, Outco
 pub(crate) struct InitialState {
     #[sqlx(rename = "campaign_id")]
     pub(crate) campaign: CampaignId,
-    /// Task, such as "libero_goal/3".
+    /// Key of the task.
     pub(crate) task: String,
     pub(crate) init_id: i64,
 }
@@ -70,7 +70,7 @@ pub(crate) struct ExpiredRow {
 /// Machines of a job's failed attempts, one entry for each attempt.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
-    /// Task of the job, such as "libero_goal/3".
+    /// Key of the job's task.
     pub(crate) task: String,
     /// Machines of charged failures.
     #[sqlx(json)]

@@ -2,9 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use benchmark::TaskKey;
 use benchmark::attempt::AttemptId;
-use benchmark::{ManifestRow, RolloutId};
+use benchmark::{ManifestRow, RolloutId, Suite, TaskKey};
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use scene::FileStamps;
 use tokio::time::Instant;
@@ -112,7 +111,7 @@ impl Supervisor {
             // Each variant of a task has its own files.
             let files = |id: RolloutId| (id.task(), id.variant());
             // A user may change the files of a suite file at any time.
-            files(last.id) == files(row.id) && row.own.is_none()
+            files(last.id) == files(row.id) && row.id.task().suite() != Suite::Own
         };
         let row = assignment.row.clone();
         let last = self.slots[slot].assignment.as_ref();

@@ -4,7 +4,7 @@
 use std::fmt;
 use std::str::FromStr;
 
-use crate::{TaskRef, UnknownName};
+use crate::UnknownName;
 
 use super::variant::{Change, Variant};
 
@@ -44,15 +44,6 @@ impl Prompt {
                 let suffix = &name[variant.task.name().len()..];
                 format!("{instruction}{}", suffix.replace('_', " "))
             }
-        }
-    }
-
-    /// Returns the prompt of an unperturbed task, a task of LIBERO-PRO or a task of a suite file.
-    /// `sentence` is that of its BDDL file, in lower case.
-    pub fn of_task(self, task: TaskRef, sentence: &str) -> String {
-        match self {
-            Self::Bddl => sentence.to_owned(),
-            _ => task.instruction(),
         }
     }
 }
