@@ -16,8 +16,8 @@ use anyhow::Context;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use policy_backends::{
     BackendSpec,
-    openpi::OpenpiAddress,
     recorder::{DEFAULT_MAX_BYTES, RecordInto},
+    replay, spec,
 };
 use policy_gateway::doctor::{
     command::{CommandError, Compare, Doctor},
@@ -73,13 +73,10 @@ struct Listen {
 
 #[derive(Debug, Args)]
 struct Serve {
-    /// A policy's name and its back-end: grpc://HOST:PORT[/POLICY],
-    /// ws://HOST:PORT[?NAME=VALUE&…] (an openpi server), vla-eval://HOST:PORT
-    /// (a model server of vla-eval), builtin:noop, builtin:expert, builtin:student,
-    /// builtin:student-boxes, student:FILE (weights that training exported), or
-    /// several replicas separated by commas (repeatable)
     #[arg(
         long = "route",
+        help = format!("A policy's name and its back-end (repeatable): {}; or several replicas, \
+            separated by commas", spec::forms()),
         value_name = "NAME=BACKEND",
         required_unless_present = "config",
         conflicts_with = "config"
@@ -196,7 +193,7 @@ fn main() -> ExitCode {
             record(RouteSpec::new(policy, vec![upstream]), into, &listen)
         }
         Some(Command::Replay { folder, policy, listen }) => {
-            let route = RouteSpec::new(policy, vec![BackendSpec::Replay(folder)]);
+            let route = RouteSpec::new(policy, vec![replay::recordings(folder)]);
             serve_routes(vec![route], &listen)
         }
         Some(Command::Completions { shell }) => print_completions(shell),
@@ -291,15 +288,19 @@ async fn check(
             front = Some(started);
         }
         let checked = conformance::check(&target, &mut |finding| print_line(finding)).await;
-        match (checked, target.shown.parse::<OpenpiAddress>()) {
+        let corrected = match (&checked, target.shown.parse::<BackendSpec>()) {
             // The server's error names the key that it misses.
-            (Err(ConformanceError::Episode { status, .. }), Ok(address))
-                if keys_left > 0 && address.with_key_of(status.message()).is_some() =>
-            {
-                keys_left -= 1;
-                target.shown = address.with_key_of(status.message()).unwrap_or(address).to_string();
+            (Err(ConformanceError::Episode { status, .. }), Ok(spec)) if keys_left > 0 => {
+                spec.corrected(status.message())
             }
-            (checked, _) => break (checked?, front),
+            _ => None,
+        };
+        match corrected {
+            Some(corrected) => {
+                keys_left -= 1;
+                target.shown = corrected.to_string();
+            }
+            None => break (checked?, front),
         }
     };
     if target.shown != given {

@@ -1,10 +1,16 @@
 //! Policies that run inside the gateway. Lists them and starts an instance per session; the
 //! gateway manages sessions and retries, and checks the answers.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, str::FromStr, sync::Arc};
 
 use proto::policy::{DescribeResponse, Observation, ResetRequest};
 use thiserror::Error;
+use transport::Access;
+
+use crate::{
+    backend::Backend,
+    spec::{Kind, OwnError, Specified},
+};
 
 pub(crate) mod backend;
 pub mod expert;
@@ -13,6 +19,11 @@ pub mod student;
 
 pub use builtin_policies::expert::Action;
 pub use student::Weights;
+
+pub(crate) const KIND: Kind = Kind::new::<Builtin>(
+    &["builtin"],
+    "builtin:NAME (noop, expert, expert-with-frames, student, student-boxes)",
+);
 
 pub(crate) struct Policy {
     pub(crate) described: DescribeResponse,
@@ -93,11 +104,18 @@ impl fmt::Display for Builtin {
 impl FromStr for Builtin {
     type Err = UnknownBuiltin;
 
-    fn from_str(name: &str) -> Result<Self, UnknownBuiltin> {
+    fn from_str(text: &str) -> Result<Self, UnknownBuiltin> {
+        let name = text.strip_prefix("builtin:").unwrap_or(text);
         Self::ALL
             .into_iter()
             .find(|builtin| builtin.name() == name)
             .ok_or_else(|| UnknownBuiltin { name: name.to_owned() })
+    }
+}
+
+impl Specified for Builtin {
+    fn open(&self, _: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(backend::BuiltinBackend::new(self.to_string(), self.policy())))
     }
 }
 

@@ -11,7 +11,7 @@ use std::{
 
 pub use benchmark::Action;
 use policy_backends::{
-    Backend, BackendError, BackendSpec, UnusableBackend, open, recording::RecordingError,
+    Backend, BackendError, BackendSpec, UnusableBackend, recording::RecordingError,
 };
 use proto::checks::{ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest};
@@ -52,7 +52,7 @@ impl Server {
         suite: &str,
     ) -> Result<Self, ExaminationError> {
         let url = spec.to_string();
-        let backend = open(spec, access)?;
+        let backend = spec.open(access)?;
         let described = in_time(&url, backend.describe(suite)).await?;
         if let Err(fault) = proto::checks::description(&described) {
             return Err(ExaminationError::Description { url, fault });

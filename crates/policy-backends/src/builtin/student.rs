@@ -2,17 +2,51 @@
 //! evaluations without a checkpoint or a GPU. The network is in the crate `student`.
 
 use std::{
+    convert::Infallible,
+    fmt,
     path::{Path, PathBuf},
+    str::FromStr,
     sync::{Arc, LazyLock},
 };
 
-use benchmark::attempt::{TAUGHT_ON, TAUGHT_ON_LOOK};
-use builtin_policies::student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
 use proto::checks::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
+use benchmark::attempt::{TAUGHT_ON, TAUGHT_ON_LOOK};
+use builtin_policies::student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
 use thiserror::Error;
+use transport::Access;
 
-use super::{Action, BuiltinPolicy, Policy};
+use super::{Action, BuiltinPolicy, Policy, backend::BuiltinBackend};
+use crate::{
+    backend::Backend,
+    spec::{Kind, OwnError, Specified},
+};
+
+pub(crate) const KIND: Kind =
+    Kind::new::<WeightsFile>(&["student"], "student:FILE (weights that training exported)");
+
+#[derive(Clone, Debug)]
+struct WeightsFile(PathBuf);
+
+impl FromStr for WeightsFile {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(Self(text.trim_start_matches("student:").into()))
+    }
+}
+
+impl fmt::Display for WeightsFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "student:{}", self.0.display())
+    }
+}
+
+impl Specified for WeightsFile {
+    fn open(&self, _: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(BuiltinBackend::new(self.to_string(), read(&self.0)?)))
+    }
+}
 
 /// Robot readings that the student takes, in order.
 const STATE: [StateField; 3] =
@@ -44,10 +78,8 @@ impl Weights {
     }
 
     pub(crate) fn network(self) -> &'static Arc<Network> {
-        static LIBERO: LazyLock<Arc<Network>> =
-            LazyLock::new(|| shipped(builtin_policies::student::LIBERO));
-        static BOXES: LazyLock<Arc<Network>> =
-            LazyLock::new(|| shipped(builtin_policies::student::BOXES));
+        static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(builtin_policies::student::LIBERO));
+        static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(builtin_policies::student::BOXES));
         match self {
             Self::Libero => &LIBERO,
             Self::Boxes => &BOXES,
