@@ -20,10 +20,8 @@ pub mod student;
 pub use builtin_policies::expert::Action;
 pub use student::Weights;
 
-pub(crate) const KIND: Kind = Kind::new::<Builtin>(
-    &["builtin"],
-    "builtin:NAME (noop, expert, expert-with-frames, student, student-boxes)",
-);
+pub(crate) const KIND: Kind =
+    Kind::new::<Builtin>(&["builtin"], "builtin:NAME (noop, expert, student, student-boxes)");
 
 pub(crate) struct Policy {
     pub(crate) described: DescribeResponse,
@@ -52,25 +50,17 @@ pub trait BuiltinPolicy: Send {
 pub enum Builtin {
     Noop,
     Expert,
-    /// The expert, with frames of both cameras in its observations, which it ignores: for recordings.
-    ExpertWithFrames,
     Student(Weights),
 }
 
 impl Builtin {
-    pub const ALL: [Self; 5] = [
-        Self::Noop,
-        Self::Expert,
-        Self::ExpertWithFrames,
-        Self::Student(Weights::Libero),
-        Self::Student(Weights::Boxes),
-    ];
+    pub const ALL: [Self; 4] =
+        [Self::Noop, Self::Expert, Self::Student(Weights::Libero), Self::Student(Weights::Boxes)];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Noop => "noop",
             Self::Expert => "expert",
-            Self::ExpertWithFrames => "expert-with-frames",
             Self::Student(weights) => weights.name(),
         }
     }
@@ -80,11 +70,8 @@ impl Builtin {
             Self::Noop => {
                 Policy { described: noop::describe(), start: Box::new(|_| Box::new(noop::Noop)) }
             }
-            Self::Expert | Self::ExpertWithFrames => Policy {
-                described: match self {
-                    Self::ExpertWithFrames => expert::describe_with_frames(),
-                    _ => expert::describe(),
-                },
+            Self::Expert => Policy {
+                described: expert::describe(),
                 start: Box::new(|_| Box::new(builtin_policies::expert::Expert::default())),
             },
             Self::Student(weights) => {

@@ -26,7 +26,7 @@ use crate::{
     description,
     recording::{self, Reader, RecordingError},
     sessions::{MAX_SESSIONS, SessionTable},
-    spec::{BackendSpec, Kind, OwnError, Specified},
+    spec::{Kind, OwnError, Specified},
 };
 
 pub(crate) const KIND: Kind =
@@ -34,11 +34,6 @@ pub(crate) const KIND: Kind =
 
 #[derive(Clone, Debug)]
 struct Recordings(PathBuf);
-
-/// Specifies the recordings in a folder.
-pub fn recordings(folder: PathBuf) -> BackendSpec {
-    BackendSpec::new(Recordings(folder))
-}
 
 impl FromStr for Recordings {
     type Err = Infallible;

@@ -4,7 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use futures_util::{SinkExt, StreamExt};
-use policy_gateway::doctor::conformance::scene;
+use benchmark::Suite;
+use policy_gateway::doctor::synthetic;
 use policy_gateway::config::{self, RouteSpec};
 use proto::policy::{InferRequest, policy_client::PolicyClient};
 use rmpv::Value;
@@ -170,7 +171,9 @@ async fn query(
 ) -> Result<Vec<f32>, Status> {
     let described = client.describe(describe("x")).await?.into_inner();
     let request = InferRequest {
-        observation: Some(scene::observation(&described, query_index)),
+        observation: Some(
+            synthetic::situations(Suite::Object)[query_index as usize].observation(&described),
+        ),
         ..infer("x", session, query_index)
     };
     Ok(client.infer(request).await?.into_inner().actions)

@@ -210,9 +210,7 @@ fn runs_until_stopped(command: &str) -> bool {
     let first = words.first().copied().unwrap_or_default();
     match program {
         "coordinator" => ["serve", "up"].contains(&first) || displays_progress(command),
-        "policy-gateway" => {
-            !["check", "compare", "doctor"].contains(&first) && !words.contains(&"--help")
-        }
+        "policy-gateway" => !["check", "compare"].contains(&first) && !words.contains(&"--help"),
         "worker" => first == "--connect",
         "python" | "python3" => {
             words.contains(&"--listen") || words.contains(&"serve") || first.ends_with("policy.py")
@@ -237,7 +235,6 @@ mod tests {
             "coordinator serve --data campaigns",
             "coordinator up",
             "policy-gateway --route a=builtin:noop",
-            "policy-gateway replay recorded",
             "worker --connect http://127.0.0.1:7411 --slots 2",
             "env/bin/python -m rollout_policies.examples.colour_servo --listen 127.0.0.1:5000",
             "coordinator campaign status --watch  # live",
@@ -248,7 +245,6 @@ mod tests {
             "coordinator campaign status",
             "policy-gateway check grpc://127.0.0.1:5000",
             "policy-gateway compare grpc://127.0.0.1:5000 builtin:expert",
-            "policy-gateway doctor grpc://127.0.0.1:5000",
             "worker film --connect http://127.0.0.1:7411",
             "python -m rollout_policies list",
             "umask 077",
