@@ -3,10 +3,6 @@
 
 use std::{fmt::Display, net::SocketAddr, path::PathBuf, process::ExitCode};
 
-use anyhow::Context;
-use clap::Args;
-use benchmark::Suite;
-use policy_backends::{BackendSpec, grpc::GrpcAddress};
 use crate::doctor::{
     check, compare,
     latency::measure,
@@ -14,6 +10,10 @@ use crate::doctor::{
     report::{self, CheckJson, ComparisonJson, DescribedServer},
     verdict::Finding,
 };
+use anyhow::Context;
+use benchmark::Suite;
+use clap::Args;
+use policy_backends::{BackendSpec, grpc::GrpcAddress};
 use policy_gateway::{
     config::{AccessFiles, Config, RouteSpec},
     service::Gateway,

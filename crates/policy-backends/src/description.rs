@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use proto::policy::{DescribeResponse, Language, StateField};
 use benchmark::attempt::CONNECTED_SINCE;
+use proto::policy::{DescribeResponse, Language, StateField};
 use serde::Serialize;
 
 /// Largest number of queries in one `InferBatch`.

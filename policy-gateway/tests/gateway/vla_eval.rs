@@ -3,10 +3,10 @@
 
 use std::{sync::Arc, time::Duration};
 
-use futures_util::{SinkExt, StreamExt};
 use benchmark::Suite;
-use policy_gateway::doctor::synthetic;
+use futures_util::{SinkExt, StreamExt};
 use policy_gateway::config::{self, RouteSpec};
+use policy_gateway::doctor::synthetic;
 use proto::policy::{InferRequest, policy_client::PolicyClient};
 use rmpv::Value;
 use tokio::{

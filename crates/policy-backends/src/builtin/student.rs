@@ -9,10 +9,10 @@ use std::{
     sync::{Arc, LazyLock},
 };
 
-use proto::checks::CAMERAS;
-use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use benchmark::attempt::{TAUGHT_ON, TAUGHT_ON_LOOK};
 use builtin_policies::student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
+use proto::checks::CAMERAS;
+use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use thiserror::Error;
 use transport::Access;
 
@@ -78,8 +78,10 @@ impl Weights {
     }
 
     pub(crate) fn network(self) -> &'static Arc<Network> {
-        static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(builtin_policies::student::LIBERO));
-        static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(builtin_policies::student::BOXES));
+        static LIBERO: LazyLock<Arc<Network>> =
+            LazyLock::new(|| shipped(builtin_policies::student::LIBERO));
+        static BOXES: LazyLock<Arc<Network>> =
+            LazyLock::new(|| shipped(builtin_policies::student::BOXES));
         match self {
             Self::Libero => &LIBERO,
             Self::Boxes => &BOXES,
