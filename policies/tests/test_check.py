@@ -1,14 +1,10 @@
 """`check` runs the gateway's check on a policy in this process. Synthetic observations."""
 
-import re
-from pathlib import Path
-
 import numpy as np
 import pytest
 from conftest import Noisy, gateway_program
 
 from rollout_policies import Camera, Description, DoesNotConform, State, check, fake_observation
-from rollout_policies.fake import TASKS
 from rollout_policies.processing.robot import axis_angle
 
 
@@ -67,10 +63,3 @@ def test_synthetic_readings_describe_one_posture():
     assert state[State.EEF_AXIS_ANGLE] == pytest.approx(axis_angle(quaternion))
     # The fingers point down.
     assert state[State.EEF_ROTATION][8] == pytest.approx(-1)
-
-
-def test_the_synthetic_tasks_equal_those_of_the_gateways_check():
-    source = Path(__file__).parents[2] / "policy-gateway/src/doctor/conformance/scene.rs"
-    table = source.read_text().partition("pub const TASKS")[2].partition("];")[0]
-    texts = re.findall(r'"(.*?)"', table)
-    assert dict(zip(texts[::2], texts[1::2])) == TASKS

@@ -155,8 +155,8 @@ impl Config {
 pub struct RouteSpec {
     /// Name of the route, as in the `policy` of requests.
     pub name: RouteName,
-    /// Servers of the policy, by checkpoint.
-    pub checkpoints: CheckpointSpecs,
+    /// Servers of each suite's checkpoint; those of the empty name serve all suites.
+    pub checkpoints: BTreeMap<String, Vec<BackendSpec>>,
     /// Batching and distribution of queries.
     pub batching: Batching,
     /// Longest time for which a server may answer no query while a call is in flight.
@@ -181,15 +181,6 @@ impl AccessFiles {
         let roles = [Role::Worker, Role::Operator];
         Access::from_files(self.ca.as_deref(), self.token_file.as_deref(), &roles)
     }
-}
-
-/// Replicas of a route, by checkpoint.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum CheckpointSpecs {
-    /// One checkpoint for all suites.
-    One(Vec<BackendSpec>),
-    /// A checkpoint per suite, by the suite's name.
-    PerSuite(BTreeMap<String, Vec<BackendSpec>>),
 }
 
 /// Batching of queries and choice of the replica.
@@ -224,7 +215,7 @@ impl RouteSpec {
     pub fn new(name: RouteName, replicas: Vec<BackendSpec>) -> Self {
         Self {
             name,
-            checkpoints: CheckpointSpecs::One(replicas),
+            checkpoints: BTreeMap::from([(String::new(), replicas)]),
             batching: Batching::default(),
             answer_within: DEFAULT_ANSWER_WITHIN,
             access: AccessFiles::default(),
@@ -234,11 +225,8 @@ impl RouteSpec {
 
     fn check(&self) -> Result<(), ConfigError> {
         let name = || self.name.clone();
-        let pools: Vec<&[BackendSpec]> = match &self.checkpoints {
-            CheckpointSpecs::One(replicas) => vec![replicas],
-            CheckpointSpecs::PerSuite(suites) => suites.values().map(Vec::as_slice).collect(),
-        };
-        if pools.is_empty() || pools.iter().any(|replicas| replicas.is_empty()) {
+        let pools = self.checkpoints.values();
+        if self.checkpoints.is_empty() || pools.clone().any(Vec::is_empty) {
             return Err(ConfigError::NoReplica { name: name() });
         }
         for replicas in pools {
@@ -326,15 +314,13 @@ fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
         Some(secs) if secs > 0.0 && secs <= MAX_ANSWER_WITHIN_SECS => Duration::from_secs_f64(secs),
         Some(secs) => return Err(ConfigError::AnswerWithin { name, secs }),
     };
-    let checkpoints = match (table.replicas.is_empty(), table.suites.is_empty()) {
+    let suites = match (table.replicas.is_empty(), table.suites.is_empty()) {
         (false, false) => return Err(ConfigError::ReplicasAndSuites { name }),
-        (_, true) => CheckpointSpecs::One(backends(&table.replicas)?),
-        (true, false) => {
-            let suites = table.suites.into_iter();
-            let suites = suites.map(|(suite, replicas)| Ok((suite, backends(&replicas)?)));
-            CheckpointSpecs::PerSuite(suites.collect::<Result<_, ConfigError>>()?)
-        }
+        (_, true) => BTreeMap::from([(String::new(), table.replicas)]),
+        (true, false) => table.suites,
     };
+    let suites = suites.into_iter().map(|(suite, replicas)| Ok((suite, backends(&replicas)?)));
+    let checkpoints = suites.collect::<Result<_, ConfigError>>()?;
     let access = AccessFiles { ca: table.ca, token_file: table.token_file };
     let batching = table.batching;
     Ok(RouteSpec { checkpoints, batching, answer_within, access, ..RouteSpec::new(name, vec![]) })
@@ -361,7 +347,7 @@ mod tests {
         check("expert", "NAME=BACKEND");
         check("=builtin:noop", "letters, digits");
         check("a b=builtin:noop", "letters, digits");
-        check("x=builtin:nope", "noop, expert, expert-with-frames, student, student-boxes");
+        check("x=builtin:nope", "noop, expert, student, student-boxes");
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");
         check("x=vla-eval://host", "vla-eval://HOST:PORT");
@@ -418,9 +404,9 @@ mod tests {
         assert_eq!(oft.answer_within, Duration::from_millis(500));
         let goal = vec!["grpc://a:2".parse().expect("a back-end")];
         let suites = BTreeMap::from([("libero_goal".to_owned(), goal)]);
-        assert_eq!(oft.checkpoints, CheckpointSpecs::PerSuite(suites));
+        assert_eq!(oft.checkpoints, suites);
         assert_eq!(pi05.answer_within, DEFAULT_ANSWER_WITHIN);
-        assert!(matches!(&pi05.checkpoints, CheckpointSpecs::One(two) if two.len() == 2));
+        assert_eq!(pi05.checkpoints[""].len(), 2);
     }
 
     #[test]

@@ -1,32 +1,25 @@
-//! Examination of policy servers, for the commands `check`, `compare` and `doctor` of
-//! `policy-gateway`. [`conformance`] checks that a server conforms to the policy protocol. The
-//! other modules are for conforming servers whose rollouts fail: [`compare`] finds differences
-//! between the pipelines of two servers, and [`diagnosis`] finds common mistakes of one server.
-//! These two query servers in synthetic or recorded situations, without a simulator.
+//! Examination of policy servers of `rollout.policy.v1` by synthetic observations, without a
+//! simulator. [`check`] checks that a server conforms to the policy protocol, and looks for usual
+//! mistakes; [`compare`] explains how the answers of two servers differ.
 //!
-//! `situation` is the input of a query, from [`synthetic`] or `recorded`; `variant`, `filter` and
-//! `layout` modify it; [`server`] and `server_pair` send queries; `fit` and `search` explain
-//! differences; [`difference`] and `report` write the results as text and JSON.
+//! `synthetic` generates the situations, `probe` queries a server in them. `verdict` and `mistakes`
+//! judge answers to a check. For a comparison, `variant` and `layout` modify observations, `fit`
+//! and `search` explain differences, [`difference`] and [`report`] put them into words.
 
 mod answers;
-pub mod command;
+pub mod check;
 pub mod compare;
-pub mod conformance;
-mod descriptions;
-pub mod diagnosis;
 pub mod difference;
-mod filter;
 mod fit;
+pub mod latency;
 mod layout;
-pub mod looks;
+mod mistakes;
 pub mod pose;
+pub mod probe;
 mod randomness;
-mod recorded;
-mod report;
+pub mod report;
 mod search;
-pub mod server;
 mod server_pair;
-pub mod situation;
 pub mod synthetic;
 mod variant;
 pub mod verdict;

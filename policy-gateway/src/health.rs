@@ -414,15 +414,6 @@ mod tests {
     }
 
     #[test]
-    fn a_fatal_accelerator_error_is_an_outage_at_once() {
-        let mut health = Health::default();
-        let error = "RuntimeError: CUDA error: device-side assert triggered";
-        let cause = health.erred(error, "task 1", Instant::now());
-        assert_eq!(cause, Some(Cause::Broken(error.to_owned())));
-        assert!(health.admit(Call::InSession("s"), Instant::now()).is_err());
-    }
-
-    #[test]
     fn the_same_error_counts_once_per_task_whatever_its_numbers() {
         let (mut health, now) = (Health::default(), Instant::now());
         let mut err = |error: &str, task: &str| health.erred(error, task, now).is_some();

@@ -18,7 +18,6 @@ mod access;
 pub mod batch;
 pub mod config;
 pub mod doctor;
-pub mod front;
 pub mod health;
 pub mod observation_budget;
 pub mod pace;

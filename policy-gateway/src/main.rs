@@ -4,7 +4,6 @@
 
 use std::{
     env::args_os,
-    fmt::Display,
     io::{Write, stdout},
     net::SocketAddr,
     path::{Path, PathBuf},
@@ -16,16 +15,11 @@ use anyhow::Context;
 use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
 use policy_backends::{
     BackendSpec,
-    openpi::OpenpiAddress,
     recorder::{DEFAULT_MAX_BYTES, RecordInto},
-};
-use policy_gateway::doctor::{
-    command::{CommandError, Compare, Doctor},
-    conformance::{self, ConformanceError, Target, scene},
+    spec,
 };
 use policy_gateway::{
-    config::{self, AccessFiles, Config, RouteName, RouteSpec},
-    front::Front,
+    config::{self, Config, RouteName, RouteSpec},
     service::Gateway,
 };
 use terminal::{number, reader_is_gone};
@@ -34,16 +28,11 @@ use tokio::{
     signal::unix::{Signal, SignalKind, signal},
     task::JoinSet,
 };
-use transport::{Access, ClientArguments, Role, Security, SecurityError, ServerArguments};
+use transport::{Security, SecurityError, ServerArguments};
 
-/// Suites that the conformance check has a task for.
-const SUITES: [&str; 4] = {
-    let [a, b, c, d] = scene::TASKS;
-    [a.0, b.0, c.0, d.0]
-};
+use crate::examine::{Check, Compare};
 
-/// Inputs of an openpi server, each of which may have another key.
-const INPUTS: usize = 4;
+mod examine;
 
 /// Serves policies to workers: each route maps a policy's name to its back-end.
 #[derive(Debug, Parser)]
@@ -73,13 +62,10 @@ struct Listen {
 
 #[derive(Debug, Args)]
 struct Serve {
-    /// A policy's name and its back-end: grpc://HOST:PORT[/POLICY],
-    /// ws://HOST:PORT[?NAME=VALUE&…] (an openpi server), vla-eval://HOST:PORT
-    /// (a model server of vla-eval), builtin:noop, builtin:expert, builtin:student,
-    /// builtin:student-boxes, student:FILE (weights that training exported), or
-    /// several replicas separated by commas (repeatable)
     #[arg(
         long = "route",
+        help = format!("A policy's name and its back-end (repeatable): {}; or several replicas, \
+            separated by commas", spec::forms()),
         value_name = "NAME=BACKEND",
         required_unless_present = "config",
         conflicts_with = "config"
@@ -97,34 +83,12 @@ struct Serve {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Checks whether a policy server conforms to the policy protocol, point by point
-    Check {
-        /// The server's address: grpc://HOST:PORT, https://HOST:PORT,
-        /// ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT
-        #[arg(value_name = "URL")]
-        url: String,
-
-        /// Name of the policy, if the server has several
-        #[arg(long, value_name = "NAME", default_value = "")]
-        policy: String,
-
-        /// Suite of the task in the queries
-        #[arg(long, value_name = "SUITE", default_value = SUITES[0], value_parser = SUITES)]
-        suite: String,
-
-        /// Also measures the server's latency under load, and writes the distribution
-        /// of delays for `coordinator campaign create --execution overlap:@FILE`
-        #[arg(long, value_name = "FILE")]
-        latency: Option<PathBuf>,
-
-        #[command(flatten)]
-        access: ClientArguments,
-    },
+    /// Checks whether a policy server conforms to the policy protocol, point by point, and
+    /// looks for mistakes that make all rollouts fail
+    Check(Box<Check>),
     /// Sends two policy servers the same observations, and explains how their
     /// answers differ
     Compare(Box<Compare>),
-    /// Finds common mistakes in a policy server whose rollouts all fail
-    Doctor(Box<Doctor>),
     /// Forwards queries to a policy server and records its sessions (observations
     /// and actions), one file each, until it is stopped
     Record {
@@ -144,20 +108,6 @@ enum Command {
         #[arg(long, value_name = "N", default_value_t = DEFAULT_MAX_BYTES >> 20,
             value_parser = number(1..=1_u64 << 40, "MiB"))]
         max_mib: u64,
-
-        #[command(flatten)]
-        listen: Listen,
-    },
-    /// Answers the same observations of the same episodes with the recorded
-    /// actions; for any other observation, the error names the first difference
-    Replay {
-        /// Folder of the recordings
-        #[arg(value_name = "DIR")]
-        folder: PathBuf,
-
-        /// Name under which the recordings are served
-        #[arg(long, value_name = "NAME", default_value = "policy")]
-        policy: RouteName,
 
         #[command(flatten)]
         listen: Listen,
@@ -185,19 +135,11 @@ fn main() -> ExitCode {
     let arguments = arguments.unwrap_or_else(|error| error.exit());
     terminal::log("info");
     let done = match arguments.command {
-        Some(Command::Check { url, policy, suite, latency, access }) => {
-            let target = |access| Target { shown: url.clone(), url, policy, suite, access };
-            check(target, access, latency.as_deref())
-        }
-        Some(Command::Compare(compare)) => exit_code_of(compare.run(&|line| print_line(&line))),
-        Some(Command::Doctor(doctor)) => exit_code_of(doctor.run(&|line| print_line(&line))),
+        Some(Command::Check(check)) => check.run(),
+        Some(Command::Compare(compare)) => compare.run(),
         Some(Command::Record { upstream, output, policy, max_mib, listen }) => {
             let into = RecordInto { max_bytes: max_mib << 20, folder: output };
             record(RouteSpec::new(policy, vec![upstream]), into, &listen)
-        }
-        Some(Command::Replay { folder, policy, listen }) => {
-            let route = RouteSpec::new(policy, vec![BackendSpec::Replay(folder)]);
-            serve_routes(vec![route], &listen)
         }
         Some(Command::Completions { shell }) => print_completions(shell),
         Some(Command::Manual { folder }) => manual(&folder),
@@ -262,81 +204,6 @@ fn record(route: RouteSpec, into: RecordInto, listen: &Listen) -> anyhow::Result
 fn usage_error(error: &dyn std::error::Error) -> ! {
     let text = format!("failed to {error}");
     Arguments::command().error(ErrorKind::ValueValidation, text).exit()
-}
-
-/// Prints a verdict per point. The exit code is 1 if a point failed.
-#[tokio::main]
-async fn check(
-    target: impl FnOnce(Access) -> Target,
-    access: ClientArguments,
-    latency: Option<&Path>,
-) -> anyhow::Result<ExitCode> {
-    let mut target = target(access.access(&[Role::Operator, Role::Worker])?);
-    let is_foreign = target.url.starts_with("ws") || target.url.starts_with("vla-eval");
-    if is_foreign {
-        print_line(
-            &"checked through a gateway: the server's own protocol does not cover every point",
-        );
-    }
-    let ClientArguments { ca, token_file } = access;
-    let given = target.shown.clone();
-    let mut keys_left = INPUTS;
-    // The gateway runs until the check ends.
-    let (conforms, front) = loop {
-        let mut front = None;
-        if is_foreign {
-            let access = AccessFiles { ca: ca.clone(), token_file: token_file.clone() };
-            let started = Front::start(&target.shown, access).await?;
-            target.url = format!("grpc://{}", started.address);
-            front = Some(started);
-        }
-        let checked = conformance::check(&target, &mut |finding| print_line(finding)).await;
-        match (checked, target.shown.parse::<OpenpiAddress>()) {
-            // The server's error names the key that it misses.
-            (Err(ConformanceError::Episode { status, .. }), Ok(address))
-                if keys_left > 0 && address.with_key_of(status.message()).is_some() =>
-            {
-                keys_left -= 1;
-                target.shown = address.with_key_of(status.message()).unwrap_or(address).to_string();
-            }
-            (checked, _) => break (checked?, front),
-        }
-    };
-    if target.shown != given {
-        print_line(&format!("its inputs have other keys: write {} as its route", target.shown));
-    }
-    print_line(&if conforms { "conforms" } else { "does not conform" });
-    if let Some(file) = latency {
-        let measured = conformance::latency::measure(&target).await?;
-        print_line(&measured.describe());
-        let delays = measured.delays()?;
-        let text = serde_json::to_string_pretty(&measured)?;
-        std::fs::write(file, text + "\n").with_context(|| format!("write {}", file.display()))?;
-        print_line(&format!(
-            "`coordinator campaign create --execution overlap:@{}` draws delays from this \
-             distribution: overlap:{delays}",
-            file.display()
-        ));
-    }
-    drop(front);
-    Ok(if conforms { ExitCode::SUCCESS } else { ExitCode::FAILURE })
-}
-
-/// Runs a comparison or diagnosis. The exit code is 0 if nothing was found, else 1.
-#[tokio::main]
-async fn exit_code_of(
-    judgement: impl Future<Output = Result<bool, CommandError>>,
-) -> anyhow::Result<ExitCode> {
-    Ok(match judgement.await? {
-        true => ExitCode::SUCCESS,
-        false => ExitCode::FAILURE,
-    })
-}
-
-/// Prints a line, without control sequences, because parts of the line come from servers. Ignores
-/// a closed pipe (`| head`), because the exit code still reports the outcome.
-fn print_line(line: &dyn Display) {
-    drop(terminal::print_line(&line.to_string()));
 }
 
 #[tokio::main]

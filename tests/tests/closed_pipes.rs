@@ -55,7 +55,8 @@ fn a_command_with_a_closed_pipe_reports_no_error() {
     }
     check("coordinator", &["check", copy]);
     check("coordinator", &["manifest", "--version", "v0.1"]);
-    check("policy-gateway", &["check", &campaigns.gateway.url, "--policy", "noop"]);
+    let noop = format!("{}/noop", campaigns.gateway.url.replacen("http://", "grpc://", 1));
+    check("policy-gateway", &["check", &noop]);
     if let Err(error) = scene::Sources::open(&scene::Sources::default_dir()) {
         println!("skipped the worker: failed to {error}");
         return;

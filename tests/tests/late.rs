@@ -53,7 +53,7 @@ fn a_campaign_draws_its_delays_from_a_servers_measured_latencies() {
     let path = file.to_str().expect("UTF-8");
     let url = endpoint.replacen("http://", "grpc://", 1);
     let checked = Command::new(program("policy-gateway"))
-        .args(["check", &url, "--policy", "slow", "--latency", path])
+        .args(["check", &format!("{url}/slow"), "--latency", path])
         .output()
         .expect("the check runs");
     let printed = String::from_utf8_lossy(&checked.stdout);

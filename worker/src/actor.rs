@@ -47,7 +47,7 @@ pub enum PolicyError {
     },
     #[error(
         "{} at {endpoint} gave an invalid answer to {call}: {fault}; \
-         `policy-gateway doctor` looks for the cause",
+         `policy-gateway check` looks for the cause",
         label(policy)
     )]
     InvalidAnswer {

@@ -1,10 +1,16 @@
 //! Policies that run inside the gateway. Lists them and starts an instance per session; the
 //! gateway manages sessions and retries, and checks the answers.
 
-use std::{fmt, str::FromStr};
+use std::{fmt, str::FromStr, sync::Arc};
 
 use proto::policy::{DescribeResponse, Observation, ResetRequest};
 use thiserror::Error;
+use transport::Access;
+
+use crate::{
+    backend::Backend,
+    spec::{Kind, OwnError, Specified},
+};
 
 pub(crate) mod backend;
 pub mod expert;
@@ -13,6 +19,9 @@ pub mod student;
 
 pub use builtin_policies::expert::Action;
 pub use student::Weights;
+
+pub(crate) const KIND: Kind =
+    Kind::new::<Builtin>(&["builtin"], "builtin:NAME (noop, expert, student, student-boxes)");
 
 pub(crate) struct Policy {
     pub(crate) described: DescribeResponse,
@@ -41,25 +50,17 @@ pub trait BuiltinPolicy: Send {
 pub enum Builtin {
     Noop,
     Expert,
-    /// The expert, with frames of both cameras in its observations, which it ignores: for recordings.
-    ExpertWithFrames,
     Student(Weights),
 }
 
 impl Builtin {
-    pub const ALL: [Self; 5] = [
-        Self::Noop,
-        Self::Expert,
-        Self::ExpertWithFrames,
-        Self::Student(Weights::Libero),
-        Self::Student(Weights::Boxes),
-    ];
+    pub const ALL: [Self; 4] =
+        [Self::Noop, Self::Expert, Self::Student(Weights::Libero), Self::Student(Weights::Boxes)];
 
     pub fn name(self) -> &'static str {
         match self {
             Self::Noop => "noop",
             Self::Expert => "expert",
-            Self::ExpertWithFrames => "expert-with-frames",
             Self::Student(weights) => weights.name(),
         }
     }
@@ -69,11 +70,8 @@ impl Builtin {
             Self::Noop => {
                 Policy { described: noop::describe(), start: Box::new(|_| Box::new(noop::Noop)) }
             }
-            Self::Expert | Self::ExpertWithFrames => Policy {
-                described: match self {
-                    Self::ExpertWithFrames => expert::describe_with_frames(),
-                    _ => expert::describe(),
-                },
+            Self::Expert => Policy {
+                described: expert::describe(),
                 start: Box::new(|_| Box::new(builtin_policies::expert::Expert::default())),
             },
             Self::Student(weights) => {
@@ -93,11 +91,18 @@ impl fmt::Display for Builtin {
 impl FromStr for Builtin {
     type Err = UnknownBuiltin;
 
-    fn from_str(name: &str) -> Result<Self, UnknownBuiltin> {
+    fn from_str(text: &str) -> Result<Self, UnknownBuiltin> {
+        let name = text.strip_prefix("builtin:").unwrap_or(text);
         Self::ALL
             .into_iter()
             .find(|builtin| builtin.name() == name)
             .ok_or_else(|| UnknownBuiltin { name: name.to_owned() })
+    }
+}
+
+impl Specified for Builtin {
+    fn open(&self, _: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(backend::BuiltinBackend::new(self.to_string(), self.policy())))
     }
 }
 

@@ -2,7 +2,7 @@
 //! Opens the connection at the first call and reopens a broken connection. The gateway's replicas
 //! implement deadlines, back-off and checks of the answers.
 
-use std::{fmt, str::FromStr, time::Duration};
+use std::{fmt, str::FromStr, sync::Arc, time::Duration};
 
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferRequest, InferResponse,
@@ -15,7 +15,11 @@ use transport::{Access, AccessError, Connection, Fault, Peer, ServerKind};
 use crate::{
     backend::{Backend, BackendError, SETTINGS},
     http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
+    spec::{Kind, OwnError, Specified},
 };
+
+pub(crate) const KIND: Kind =
+    Kind::new::<GrpcAddress>(&["grpc", "https"], "grpc://HOST:PORT[/POLICY] (https:// over TLS)");
 
 /// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
@@ -74,6 +78,16 @@ impl fmt::Display for GrpcAddress {
         let separator = if self.policy.is_empty() { "" } else { "/" };
         let scheme = if self.encrypted { "https" } else { "grpc" };
         write!(f, "{scheme}://{}{separator}{}", self.authority, self.policy)
+    }
+}
+
+impl Specified for GrpcAddress {
+    fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(GrpcBackend::new(self.clone(), self.endpoint()?, access)?))
+    }
+
+    fn is_encrypted(&self) -> bool {
+        self.encrypted
     }
 }
 

@@ -1,6 +1,6 @@
 //! Back-ends: clients of policy servers, one module per protocol, and the policies that need no
-//! server. Each back-end implements the trait [`Backend`]; a [`BackendSpec`] specifies a back-end,
-//! and [`open()`] creates the back-end.
+//! server. Each back-end implements the trait [`Backend`] and has an entry in [`spec::KINDS`]; a
+//! [`BackendSpec`] specifies and creates a back-end.
 //!
 //! A back-end neither checks answers nor retries: the gateway does. The tools that examine a server
 //! thus receive its answers unchanged.
@@ -27,7 +27,7 @@ pub mod vla_eval;
 mod websocket;
 
 pub use backend::{Backend, BackendError, Cause};
-pub use spec::{BackendSpec, UnusableBackend, open};
+pub use spec::{BackendSpec, UnusableBackend};
 
 /// Default of the gateway's longest wait for an answer: shorter than a worker's, so that the
 /// gateway, not the worker, is the first to detect a server that does not answer.

@@ -9,7 +9,7 @@
 
 use std::{
     fmt,
-    sync::{Mutex, PoisonError},
+    sync::{Arc, Mutex, PoisonError},
 };
 
 use benchmark::attempt::UNNAMED_CHECKPOINT;
@@ -26,6 +26,7 @@ use crate::{
     backend::{Backend, BackendError},
     observations::{self, FRAME_SIDE},
     sessions::{MAX_SESSIONS, SessionTable},
+    spec::{Answers, BackendSpec, Kind, OwnError, Specified},
     websocket::{Connection, Received, Server},
 };
 
@@ -38,6 +39,33 @@ const QUOTED_CHARS: usize = 600;
 /// Connections, and concurrent queries, per server: the server computes one query while the next
 /// one is in transit.
 pub const MAX_CONNECTIONS: usize = 2;
+
+pub(crate) const KIND: Kind = Kind {
+    answers: Some(Answers {
+        read: |message| first_actions(&codec::answer(message).ok()?, 1).ok(),
+        example: b"\x81\xa7actions\x84\xc4\x0b__ndarray__\xc3\xc4\x04data\xc4\x1c\
+            \0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
+            \xc4\x05dtype\xa3<f4\xc4\x05shape\x92\x01\x07",
+    }),
+    ..Kind::new::<OpenpiAddress>(
+        &["ws", "wss"],
+        "ws://HOST:PORT[?NAME=VALUE&…] (an openpi server; wss:// over TLS)",
+    )
+};
+
+impl Specified for OpenpiAddress {
+    fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(OpenpiBackend::new(self.clone(), access.clone())?))
+    }
+
+    fn is_encrypted(&self) -> bool {
+        self.host_port.encrypted
+    }
+
+    fn corrected(&self, error: &str) -> Option<BackendSpec> {
+        self.with_key_of(error).map(BackendSpec::new)
+    }
+}
 
 pub struct OpenpiBackend {
     address: OpenpiAddress,
@@ -53,8 +81,8 @@ impl OpenpiBackend {
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
         // openpi's client sends its key with this scheme.
-        let server =
-            Server::new(address.host_port.clone(), access, ServerKind::Openpi, schemes, "Api-Key");
+        let kind = ServerKind::Other("the openpi server");
+        let server = Server::new(address.host_port.clone(), access, kind, schemes, "Api-Key");
         Ok(Self {
             server: server.ok_or_else(|| OpenpiAddressError { text: address.to_string() })?,
             address,

@@ -7,8 +7,10 @@
 //! episode, the recording that contains the query's observation is used.
 
 use std::{
+    convert::Infallible,
     fmt,
     path::{Path, PathBuf},
+    str::FromStr,
     sync::{Arc, Mutex, PoisonError},
 };
 
@@ -17,13 +19,41 @@ use proto::policy::{
     DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest, StateReading,
 };
 use sha2::{Digest, Sha256};
+use transport::Access;
 
 use crate::{
     backend::{Backend, BackendError},
     description,
     recording::{self, Reader, RecordingError},
     sessions::{MAX_SESSIONS, SessionTable},
+    spec::{Kind, OwnError, Specified},
 };
+
+pub(crate) const KIND: Kind =
+    Kind::new::<Recordings>(&["replay"], "replay:FOLDER (recorded sessions)");
+
+#[derive(Clone, Debug)]
+struct Recordings(PathBuf);
+
+impl FromStr for Recordings {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(Self(text.trim_start_matches("replay:").into()))
+    }
+}
+
+impl fmt::Display for Recordings {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "replay:{}", self.0.display())
+    }
+}
+
+impl Specified for Recordings {
+    fn open(&self, _: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(Replay::open(&self.0)?))
+    }
+}
 
 /// Batch mode in the provenance of replayed results.
 const BATCH_MODE: &str = "replayed from a recording";

@@ -1,120 +1,130 @@
-use std::{fmt, path::PathBuf, str::FromStr, sync::Arc};
+//! Kinds of back-ends, and the specification of one back-end.
 
+use std::{error::Error, fmt, str::FromStr, sync::Arc};
+
+use proto::policy::InferResponse;
 use thiserror::Error;
 use transport::{Access, AccessError};
 
-use crate::{
-    backend::Backend,
-    builtin::{
-        Builtin, UnknownBuiltin,
-        backend::BuiltinBackend,
-        student::{self, WeightsFileError},
-    },
-    grpc::{AddressError, GrpcAddress, GrpcBackend},
-    openpi::{OpenpiAddress, OpenpiAddressError, OpenpiBackend},
-    recording::RecordingError,
-    replay::Replay,
-    vla_eval::{VlaEvalAddress, VlaEvalAddressError, VlaEvalBackend},
-};
+use crate::{backend::Backend, builtin, grpc, openpi, replay, vla_eval};
 
-/// Back-end that answers for a policy: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]` (`https://` over
-/// TLS), `ws://HOST:PORT` (`wss://` over TLS), `vla-eval://HOST:PORT` (`vla-evals://` over TLS),
-/// `student:FILE`, or `replay:FOLDER`.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum BackendSpec {
-    Builtin(Builtin),
-    /// The built-in student with the weights of a file.
-    Student(PathBuf),
-    Grpc(GrpcAddress),
-    Openpi(OpenpiAddress),
-    VlaEval(VlaEvalAddress),
-    Replay(PathBuf),
+/// Every kind of back-end. A further kind is a module with a `KIND`, and an entry here: routes, all
+/// commands, their help and errors, and the fuzzing of answers use this table.
+pub const KINDS: [Kind; 6] =
+    [grpc::KIND, openpi::KIND, vla_eval::KIND, builtin::KIND, builtin::student::KIND, replay::KIND];
+
+pub struct Kind {
+    /// Texts before the first colon of a specification.
+    pub(crate) schemes: &'static [&'static str],
+    /// Forms of a specification, for help and errors.
+    pub(crate) form: &'static str,
+    pub(crate) read: fn(&str) -> Result<BackendSpec, OwnError>,
+    /// Messages of a server whose protocol is not that of policies.
+    pub answers: Option<Answers>,
 }
 
-impl BackendSpec {
-    pub fn is_encrypted(&self) -> bool {
-        match self {
-            Self::Builtin(_) | Self::Student(_) | Self::Replay(_) => false,
-            Self::Grpc(address) => address.encrypted,
-            Self::Openpi(address) => address.host_port.encrypted,
-            Self::VlaEval(address) => address.host_port.encrypted,
-        }
+/// The answers of a protocol's servers, for tests with arbitrary messages.
+pub struct Answers {
+    pub read: fn(&[u8]) -> Option<InferResponse>,
+    /// A valid answer, with one action.
+    pub example: &'static [u8],
+}
+
+/// Error of a kind of back-end, which its module defines.
+pub type OwnError = Box<dyn Error + Send + Sync>;
+
+impl Kind {
+    pub(crate) const fn new<S: Specified + FromStr<Err: Error + Send + Sync> + 'static>(
+        schemes: &'static [&'static str],
+        form: &'static str,
+    ) -> Self {
+        let read = |text: &str| Ok(BackendSpec::new(text.parse::<S>()?));
+        Self { schemes, form, read, answers: None }
     }
 }
+
+/// What a specification of one kind contains. Its text is that of the specification.
+pub trait Specified: fmt::Debug + fmt::Display + Send + Sync {
+    /// Creates the back-end, without connecting.
+    ///
+    /// # Errors
+    /// If the back-end cannot be created.
+    fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, OwnError>;
+
+    fn is_encrypted(&self) -> bool {
+        false
+    }
+
+    /// Returns the specification that a server's error asks for.
+    fn corrected(&self, _error: &str) -> Option<BackendSpec> {
+        None
+    }
+}
+
+/// Specification of a back-end that answers for a policy, as in [`forms`].
+#[derive(Clone, Debug)]
+pub struct BackendSpec(Arc<dyn Specified>);
+
+impl BackendSpec {
+    pub(crate) fn new(specified: impl Specified + 'static) -> Self {
+        Self(Arc::new(specified))
+    }
+
+    pub fn is_encrypted(&self) -> bool {
+        self.0.is_encrypted()
+    }
+
+    /// Returns the specification that a server's error asks for, if it names a wrong one.
+    pub fn corrected(&self, error: &str) -> Option<Self> {
+        self.0.corrected(error)
+    }
+
+    /// Creates the back-end, without connecting.
+    ///
+    /// # Errors
+    /// See [`UnusableBackend`].
+    pub fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
+        self.0.open(access).map_err(UnusableBackend::Own)
+    }
+}
+
+impl PartialEq for BackendSpec {
+    fn eq(&self, other: &Self) -> bool {
+        self.to_string() == other.to_string()
+    }
+}
+
+impl Eq for BackendSpec {}
 
 impl FromStr for BackendSpec {
     type Err = BackendSpecError;
 
     fn from_str(text: &str) -> Result<Self, BackendSpecError> {
-        match text.split_once(':') {
-            Some(("builtin", name)) => Ok(Self::Builtin(name.parse()?)),
-            Some(("grpc" | "https", _)) => Ok(Self::Grpc(text.parse()?)),
-            Some(("ws" | "wss", _)) => Ok(Self::Openpi(text.parse()?)),
-            Some(("vla-eval" | "vla-evals", _)) => Ok(Self::VlaEval(text.parse()?)),
-            Some(("student", file)) if !file.is_empty() => Ok(Self::Student(file.into())),
-            Some(("replay", folder)) if !folder.is_empty() => Ok(Self::Replay(folder.into())),
-            _ => Err(BackendSpecError::Kind { text: text.to_owned() }),
-        }
+        let scheme = text.split_once(':').map_or("", |(scheme, _)| scheme);
+        let kind = KINDS.iter().find(|kind| kind.schemes.contains(&scheme));
+        let kind = kind.ok_or_else(|| BackendSpecError::Kind { text: text.to_owned() })?;
+        (kind.read)(text).map_err(BackendSpecError::Own)
     }
 }
 
 impl fmt::Display for BackendSpec {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Builtin(builtin) => builtin.fmt(f),
-            Self::Grpc(address) => address.fmt(f),
-            Self::Openpi(address) => address.fmt(f),
-            Self::VlaEval(address) => address.fmt(f),
-            Self::Student(file) => write!(f, "student:{}", file.display()),
-            Self::Replay(folder) => write!(f, "replay:{}", folder.display()),
-        }
+        self.0.fmt(f)
     }
+}
+
+/// Lists the forms of a specification.
+pub fn forms() -> String {
+    KINDS.each_ref().map(|kind| kind.form).join(", ")
 }
 
 /// The text does not specify a back-end. The message follows "failed to …".
 #[derive(Debug, Error)]
 pub enum BackendSpecError {
-    #[error(
-        "read back-end {text:?}: write grpc://HOST:PORT, or https://HOST:PORT over TLS, or \
-         ws://HOST:PORT for an openpi server, or vla-eval://HOST:PORT for a model server of \
-         vla-eval, or builtin:NAME, or student:FILE, or replay:FOLDER"
-    )]
+    #[error("read back-end {text:?}: write one of {}", forms())]
     Kind { text: String },
     #[error(transparent)]
-    Builtin(#[from] UnknownBuiltin),
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    #[error(transparent)]
-    Openpi(#[from] OpenpiAddressError),
-    #[error(transparent)]
-    VlaEval(#[from] VlaEvalAddressError),
-}
-
-/// Creates the back-end of a specification, without connecting.
-///
-/// # Errors
-/// See [`UnusableBackend`].
-pub fn open(spec: &BackendSpec, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
-    Ok(match spec {
-        BackendSpec::Builtin(builtin) => {
-            Arc::new(BuiltinBackend::new(spec.to_string(), builtin.policy()))
-        }
-        BackendSpec::Student(weights) => {
-            let policy = student::read(weights)?;
-            Arc::new(BuiltinBackend::new(spec.to_string(), policy))
-        }
-        BackendSpec::Grpc(address) => {
-            let endpoint = address.endpoint()?;
-            Arc::new(GrpcBackend::new(address.clone(), endpoint, access)?)
-        }
-        BackendSpec::Openpi(address) => {
-            Arc::new(OpenpiBackend::new(address.clone(), access.clone())?)
-        }
-        BackendSpec::VlaEval(address) => {
-            Arc::new(VlaEvalBackend::new(address.clone(), access.clone())?)
-        }
-        BackendSpec::Replay(folder) => Arc::new(Replay::open(folder)?),
-    })
+    Own(OwnError),
 }
 
 /// Reason why a back-end cannot be created. The message follows "failed to …".
@@ -123,13 +133,24 @@ pub enum UnusableBackend {
     #[error(transparent)]
     Access(#[from] AccessError),
     #[error(transparent)]
-    Recording(#[from] RecordingError),
-    #[error(transparent)]
-    Weights(#[from] WeightsFileError),
-    #[error(transparent)]
-    Address(#[from] AddressError),
-    #[error(transparent)]
-    Openpi(#[from] OpenpiAddressError),
-    #[error(transparent)]
-    VlaEval(#[from] VlaEvalAddressError),
+    Own(OwnError),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_kind_is_documented_and_its_example_is_an_answer_of_one_action() {
+        let page = include_str!("../../../docs/POLICIES.md");
+        for kind in &KINDS {
+            for scheme in kind.schemes {
+                assert!(page.contains(&format!("{scheme}:")), "{scheme}");
+                assert!(kind.form.contains(&format!("{scheme}:")), "{scheme}");
+            }
+            if let Some(Answers { read, example }) = &kind.answers {
+                assert_eq!(read(example).expect(kind.form).actions.len(), 7);
+            }
+        }
+    }
 }

@@ -33,6 +33,7 @@ use crate::{
     numpy::{Keys, array, map},
     observations::{self, FRAME_SIDE},
     sessions::SessionTable,
+    spec::{Answers, Kind as BackendKind, OwnError, Specified},
     websocket::{Connection, Received, Server, now},
 };
 
@@ -41,6 +42,30 @@ mod hello;
 mod image;
 mod message;
 mod state;
+
+pub(crate) const KIND: BackendKind = BackendKind {
+    answers: Some(Answers {
+        read: |message| answer(message, 1, 1).ok(),
+        example: b"\x84\xa4type\xa6action\xa7payload\x81\xa7actions\
+            \x84\xab__ndarray__\xc3\xa4data\xc4\x1c\
+            \0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\0\
+            \xa5dtype\xa3<f4\xa5shape\x91\x07\xa3seq\x01\xa9timestamp\x00",
+    }),
+    ..BackendKind::new::<VlaEvalAddress>(
+        &["vla-eval", "vla-evals"],
+        "vla-eval://HOST:PORT (a model server of vla-eval; vla-evals:// over TLS)",
+    )
+};
+
+impl Specified for VlaEvalAddress {
+    fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(VlaEvalBackend::new(self.clone(), access.clone())?))
+    }
+
+    fn is_encrypted(&self) -> bool {
+        self.host_port.encrypted
+    }
+}
 
 /// Largest number of concurrent episodes per server, each with a connection; a further episode
 /// replaces the episode that was idle for longest.
@@ -82,8 +107,8 @@ impl VlaEvalBackend {
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
         // The protocol has no tokens, but a proxy in front of the server may require one.
-        let server =
-            Server::new(address.host_port.clone(), access, ServerKind::VlaEval, schemes, "Bearer");
+        let kind = ServerKind::Other("the vla-eval model server");
+        let server = Server::new(address.host_port.clone(), access, kind, schemes, "Bearer");
         Ok(Self {
             server: server.ok_or_else(|| VlaEvalAddressError { text: address.to_string() })?,
             address,

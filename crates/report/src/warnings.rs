@@ -260,7 +260,7 @@ fn no_nominal_success(subject: &Subject) -> Option<String> {
     (successes == 0 && failures > 0).then(|| {
         format!(
             "policy `{}` solved none of {failures} nominal rollouts, so that nothing is known of \
-             its robustness; `policy-gateway doctor` looks for the usual mistakes of a policy \
+             its robustness; `policy-gateway check` looks for the usual mistakes of a policy \
              server that scores 0 %",
             subject.policy
         )

@@ -23,10 +23,8 @@ pub enum ServerKind {
     Coordinator,
     /// A server of `rollout.policy.v1`: a policy, or a gateway in front of policies.
     Policy,
-    /// An openpi server, which uses WebSocket.
-    Openpi,
-    /// A vla-eval model server, which uses WebSocket.
-    VlaEval,
+    /// A server of another protocol, by its name with an article.
+    Other(&'static str),
 }
 
 impl ServerKind {
@@ -34,8 +32,7 @@ impl ServerKind {
         match self {
             ServerKind::Coordinator => "the coordinator",
             ServerKind::Policy => "the policy server",
-            ServerKind::Openpi => "the openpi server",
-            ServerKind::VlaEval => "the vla-eval model server",
+            ServerKind::Other(name) => name,
         }
     }
 }

@@ -1,6 +1,6 @@
 //! A server's answers to all situations, as numbers. Pure functions.
 
-use crate::doctor::server::Action;
+use benchmark::Action;
 
 /// A server's actions for each situation, averaged over the seeds with which it was queried.
 #[derive(Clone, Debug, Default, PartialEq)]

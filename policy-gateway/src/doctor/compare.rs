@@ -2,29 +2,23 @@
 //! explains a difference. Policies with random noise are compared by means over several seeds,
 //! unless equal seeds give both servers equal noise.
 
+use policy_backends::description::{self, DescriptionDifference};
 use serde::Serialize;
 
 use crate::doctor::{
     answers::Answers,
-    descriptions::{self, DescriptionDifference},
     difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size},
     fit::{Limit, fit},
+    probe::{ExaminationError, Probe},
     randomness::{REPEATABLE, Randomness, SEEDS_PER_MEAN},
     search::{Explanation, SearchResult, SearchSetup},
-    server::{ExaminationError, Server},
     server_pair::{SEED, ServerPair, Side},
-    situation::Situation,
-    variant::Topic,
 };
 
 /// Number of standard errors within which two means count as equal.
 const STANDARD_ERRORS: f64 = 2.5;
-/// Largest share of a difference that an explanation by frame size may leave unexplained.
-const MAX_UNEXPLAINED_BY_SIZE: f64 = 0.4;
 /// Share of the answers' standard deviation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
-/// Seeds that servers commonly have as a default.
-const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
 #[derive(Clone, Debug, Serialize)]
 pub struct Comparison {
@@ -67,13 +61,12 @@ impl AnswerPair {
 }
 
 /// Compares the answers of two servers to the same situations.
-pub async fn compare(
-    a: Server,
-    b: Server,
-    situations: Vec<Situation>,
-) -> Result<Comparison, ExaminationError> {
-    let descriptions = descriptions::differences(&a.described, &b.described);
-    let servers = ServerPair::new(a, b, situations)?;
+pub async fn compare(a: Probe, b: Probe) -> Result<Comparison, ExaminationError> {
+    let mut descriptions = description::differences(&a.described, &b.described);
+    // They may well differ between two implementations.
+    let names = ["name", "checkpoint", "checkpoint digest", "parameter count"];
+    descriptions.retain(|difference| !names.contains(&&*difference.what));
+    let servers = ServerPair::new(a, b);
     let pair = AnswerPair::query(&servers, &|_| vec![SEED]).await?;
     let randomness = [
         Randomness::measure(&servers, Side::A, &pair.a).await?,
@@ -137,14 +130,6 @@ async fn compare_paired(
         // that a search for several changes would be in vain.
         allows_several: !is_random,
     };
-    let unchanged = fit(&pair.a, &pair.b, &setup.floor);
-    if is_random
-        && !unchanged.explains
-        && let Some(found) = find_other_seed(servers, pair).await?
-    {
-        let note = comparison_note(servers, &pair.a, "with one seed each");
-        return Ok((vec![found], note));
-    }
     match setup.search(&pair.a, &pair.b).await? {
         SearchResult::Explained(explanation) => {
             let note = format!(
@@ -165,50 +150,10 @@ async fn compare_paired(
         }
         SearchResult::Unexplained(_) if is_random => compare_means(servers, randomness).await,
         SearchResult::Unexplained(closest) => {
-            let found = not_explained(pair, largest, &closest);
             let note = comparison_note(servers, &pair.a, "with the same seed");
-            Ok((found, note))
+            Ok((vec![unexplained(pair, largest, &closest)], note))
         }
     }
-}
-
-/// Finds a seed with which one server gives the answers that the other server gives with [`SEED`].
-async fn find_other_seed(
-    servers: &ServerPair,
-    pair: &AnswerPair,
-) -> Result<Option<Difference>, ExaminationError> {
-    let all = servers.situation_count();
-    let near = [("one more than", SEED + 1), ("one less than", SEED - 1)];
-    let common = COMMON_SEEDS.map(|seed| ("", seed));
-    for (relation, seed) in near.into_iter().chain(common) {
-        for (side, letter, other) in [(Side::A, "A", "B"), (Side::B, "B", "A")] {
-            let changed = servers.query(side, &[], 1, |_| vec![seed]).await?;
-            let (unchanged, first) = match side {
-                Side::A => (&pair.b, &changed),
-                Side::B => (&pair.a, &changed),
-            };
-            if unchanged.largest_difference(first).0 > REPEATABLE {
-                continue;
-            }
-            let changed = servers.query(side, &[], all, |_| vec![seed]).await?;
-            let remaining = unchanged.largest_difference(&changed).0;
-            if remaining > REPEATABLE {
-                continue;
-            }
-            let other_seed = match relation {
-                "" => format!("seed {seed}, a common default"),
-                _ => format!("seed {seed}, {relation} that"),
-            };
-            let text = format!(
-                "{other} answers with seed {SEED} as {letter} does with {other_seed}. With the \
-                 same seed they differ by up to {}; with these seeds, by {}.",
-                size(pair.largest_difference().value),
-                size(remaining)
-            );
-            return Ok(Some(Difference::new(Kind::Seed, text)));
-        }
-    }
-    Ok(None)
 }
 
 async fn compare_means(
@@ -239,7 +184,7 @@ async fn compare_means(
     let mut differences = match setup.search(&pair.a, &pair.b).await? {
         SearchResult::Explained(explanation) => difference::explained(&explanation, largest),
         SearchResult::Unexplained(_) if pair.differ_by_rounding() => vec![],
-        SearchResult::Unexplained(closest) => not_explained(&pair, largest, &closest),
+        SearchResult::Unexplained(closest) => vec![unexplained(&pair, largest, &closest)],
     };
     if differences.is_empty() && randomness.iter().all(Randomness::follows_seed) {
         let text = format!(
@@ -270,24 +215,6 @@ fn floor(pair: &AnswerPair, randomness: [Randomness; 2]) -> Limit {
     })
 }
 
-/// Returns the differences to report if no explanation makes the answers alike. An explanation by
-/// frame size is accepted with a larger remainder, because the search has the filters of only a few
-/// libraries.
-fn not_explained(
-    pair: &AnswerPair,
-    largest: LargestDifference,
-    closest: &Explanation,
-) -> Vec<Difference> {
-    let norm = |limit: &Limit| limit.iter().map(|number| number * number).sum::<f64>().sqrt();
-    let unchanged = fit(&pair.a, &pair.b, &[f64::INFINITY; 7]).remaining;
-    let mut changes = closest.changes.iter();
-    let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
-    match is_scaled && norm(&closest.fit.remaining) < MAX_UNEXPLAINED_BY_SIZE * norm(&unchanged) {
-        true => difference::explained_by_observations(closest, largest),
-        false => vec![unexplained(pair, largest, closest)],
-    }
-}
-
 fn unexplained(pair: &AnswerPair, largest: LargestDifference, closest: &Explanation) -> Difference {
     let remaining = closest.fit.remaining.iter().copied().fold(0.0, f64::max);
     let attempt = difference::attempt(closest);
@@ -300,7 +227,7 @@ fn unexplained(pair: &AnswerPair, largest: LargestDifference, closest: &Explanat
     for (letter, answers) in [("A", &pair.a), ("B", &pair.b)] {
         if standard_deviations(answers).iter().all(|number| *number <= REPEATABLE) {
             text.push_str(&format!(
-                " {letter} answers all observations alike: run `policy-gateway doctor` on it."
+                " {letter} answers all observations alike: run `policy-gateway check` on it."
             ));
         }
     }

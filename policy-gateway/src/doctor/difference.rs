@@ -17,7 +17,6 @@ pub(crate) const COMPONENT_NAMES: [&str; 7] =
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
     FrameOrientation,
-    FrameSize,
     Cameras,
     Colours,
     StateDefinition,
@@ -25,7 +24,6 @@ pub enum Kind {
     Seed,
     ChunkOffset,
     GripperConvention,
-    GripperScale,
     UnNormalisation,
     Unexplained,
 }
@@ -34,7 +32,6 @@ impl Kind {
     pub(crate) fn name(self) -> &'static str {
         match self {
             Self::FrameOrientation => "frame orientation",
-            Self::FrameSize => "frame size",
             Self::Cameras => "cameras",
             Self::Colours => "colour channels",
             Self::StateDefinition => "state definition",
@@ -42,7 +39,6 @@ impl Kind {
             Self::Seed => "seed",
             Self::ChunkOffset => "chunk offset",
             Self::GripperConvention => "gripper convention",
-            Self::GripperScale => "gripper scale",
             Self::UnNormalisation => "un-normalisation",
             Self::Unexplained => "unexplained",
         }
@@ -55,10 +51,6 @@ impl Kind {
                 "One of the two gives its network frames in another orientation. Frames arrive \
                  with the bottom row first; most LIBERO checkpoints were trained on frames turned \
                  by 180°. Compare how both prepare a frame."
-            }
-            Self::FrameSize => {
-                "One of the two scales its frames down before its network. Compare the size and \
-                 the filter of every step from the camera to the network."
             }
             Self::Cameras => {
                 "One of the two feeds the scene camera into the slot of the wrist camera. Compare \
@@ -85,17 +77,13 @@ impl Kind {
                 "The simulator opens at -1 and closes at 1. RLDS data have 1 for open and 0 for \
                  closed. Compare how both use the last number of an action."
             }
-            Self::GripperScale => {
-                "The simulator opens at -1 and closes at 1. Compare how both use the last number \
-                 of an action."
-            }
             Self::UnNormalisation => {
                 "One of the two un-normalises with other statistics: of another data set, \
                  percentiles for means, or not at all. Compare the statistics that both load."
             }
             Self::Unexplained => {
-                "Possible causes: other weights, another prompt, a crop, or several differences \
-                 at once."
+                "Possible causes: other weights, another prompt, a crop, another size of frames, or \
+                 several differences at once."
             }
         }
     }
@@ -128,14 +116,6 @@ pub(crate) fn explained(explanation: &Explanation, largest: LargestDifference) -
     let mut differences = of_observations(explanation);
     differences.extend(of_actions(&explanation.fit));
     with_sizes(differences, explanation, largest)
-}
-
-/// Returns only those differences of an explanation that concern observations.
-pub(crate) fn explained_by_observations(
-    explanation: &Explanation,
-    largest: LargestDifference,
-) -> Vec<Difference> {
-    with_sizes(of_observations(explanation), explanation, largest)
 }
 
 fn of_observations(explanation: &Explanation) -> Vec<Difference> {
@@ -184,7 +164,6 @@ pub(crate) fn attempt(explanation: &Explanation) -> String {
 fn kind(variant: &Variant) -> Kind {
     match variant.topic() {
         Topic::Orientation => Kind::FrameOrientation,
-        Topic::Size => Kind::FrameSize,
         Topic::Cameras => Kind::Cameras,
         Topic::Colours => Kind::Colours,
         Topic::Sign => Kind::QuaternionSign,
@@ -204,11 +183,7 @@ fn describe_variant(side: Side, variant: &Variant) -> String {
         Side::A => ("A", "B"),
         Side::B => ("B", "A"),
     };
-    let nearly = match variant.topic() {
-        Topic::Size => "nearly ",
-        _ => "",
-    };
-    format!("{other} answers {nearly}as {changed} does when {changed} is given {variant}.")
+    format!("{other} answers as {changed} does when {changed} is given {variant}.")
 }
 
 pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
@@ -224,19 +199,11 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
         differences.push(Difference::new(Kind::ChunkOffset, text));
     }
     let is_affine = |component: &usize| matches!(fit.maps[*component], Map::Affine { .. });
-    let arm: Vec<usize> = (0..GRIPPER).filter(is_affine).collect();
-    match fit.maps[GRIPPER] {
-        Map::Gripper(convention) => {
-            let text = describe_convention(convention);
-            differences.push(Difference::new(Kind::GripperConvention, text));
-        }
-        Map::Affine { scale, offset } if arm.is_empty() => {
-            let text = format!("B's gripper is {}.", scaled("A's", scale, offset));
-            differences.push(Difference::new(Kind::GripperScale, text));
-        }
-        _ => {}
+    if let Map::Gripper(convention) = fit.maps[GRIPPER] {
+        let text = describe_convention(convention);
+        differences.push(Difference::new(Kind::GripperConvention, text));
     }
-    if !arm.is_empty() {
+    if (0..7).any(|component| is_affine(&component)) {
         let all = (0..7).filter(is_affine);
         let each = all.filter_map(|component| match fit.maps[component] {
             Map::Affine { scale, offset } => {

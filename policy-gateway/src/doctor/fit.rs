@@ -2,7 +2,9 @@
 //! unchanged or affine; the gripper may have another convention, and the chunk may be shifted.
 //! Pure functions.
 
-use crate::doctor::{answers::Answers, server::Action};
+use benchmark::Action;
+
+use crate::doctor::answers::Answers;
 
 pub(crate) const GRIPPER: usize = 6;
 /// Smallest scale of an affine map; a smaller scale means that the answers are unrelated.
@@ -240,28 +242,5 @@ mod tests {
             panic!("{scaled:?}");
         };
         assert!((scale - 0.04).abs() < 1e-9 && offset.abs() < 1e-9);
-    }
-
-    #[test]
-    fn scale_and_offset_of_a_component_are_found() {
-        let found = fit(&answers(), &changed(|action| action[1] = 0.5 * action[1] - 0.2), &LIMIT);
-        let Map::Affine { scale, offset } = found.maps[1] else {
-            panic!("{found:?}");
-        };
-        assert!((scale - 0.5).abs() < 1e-9 && (offset + 0.2).abs() < 1e-9);
-        assert!(found.explains && found.cost() == 2);
-    }
-
-    #[test]
-    fn the_sign_of_a_shift_shows_the_server_whose_chunks_begin_later() {
-        for (skip, shift) in [(1, 1), (2, 2)] {
-            let mut later = answers();
-            for chunk in &mut later.chunks {
-                chunk.rotate_left(skip);
-                chunk[4 - skip..].fill([0.1; 7]);
-            }
-            assert_eq!(fit(&answers(), &later, &LIMIT).shift, shift);
-            assert_eq!(fit(&later, &answers(), &LIMIT).shift, -shift);
-        }
     }
 }

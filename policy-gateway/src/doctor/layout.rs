@@ -5,7 +5,7 @@ use std::fmt;
 
 use proto::policy::StateField;
 
-use crate::doctor::{pose, situation::Situation};
+use crate::doctor::{pose, synthetic::Situation};
 
 /// Component of a state vector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,13 +106,9 @@ fn width(parts: &[Part]) -> usize {
     parts.iter().map(|part| part.width()).sum()
 }
 
-/// Returns the values of these parts; `None` if the situation lacks the values of a part.
-pub(crate) fn numbers(parts: &[Part], situation: &Situation) -> Option<Vec<f64>> {
-    let mut numbers = vec![];
-    for part in parts {
-        numbers.extend(part.numbers(situation)?);
-    }
-    Some(numbers)
+/// Returns the values of these parts.
+pub(crate) fn numbers(parts: &[Part], situation: &Situation) -> Vec<f64> {
+    parts.iter().flat_map(|part| part.numbers(situation)).collect()
 }
 
 impl Part {
@@ -138,34 +134,34 @@ impl Part {
         }
     }
 
-    fn numbers(self, situation: &Situation) -> Option<Vec<f64>> {
-        let quaternion = || situation.quaternion();
-        let inverse = || quaternion().map(|[x, y, z, w]| [-x, -y, -z, w]);
-        let fingers = || <[f64; 2]>::try_from(situation.reading(GripperPos)?).ok();
-        Some(match self {
-            Field(field) => situation.reading(field)?,
-            Self::RollPitchYaw => pose::roll_pitch_yaw(quaternion()?).to_vec(),
-            Self::QuaternionVector => quaternion()?[..3].to_vec(),
-            Self::InverseAxisAngle => pose::axis_angle(inverse()?).to_vec(),
-            Self::QuaternionWxyz => {
-                let [x, y, z, w] = quaternion()?;
-                vec![w, x, y, z]
-            }
-            Self::InverseQuaternion => inverse()?.to_vec(),
-            Self::PaddedAxisAngle => {
-                let [x, y, z] = pose::axis_angle(quaternion()?);
-                vec![x, y, z, 0.0]
-            }
+    fn numbers(self, situation: &Situation) -> Vec<f64> {
+        let quaternion = situation.quaternion();
+        let [x, y, z, w] = quaternion;
+        let inverse = [-x, -y, -z, w];
+        let mut fingers = situation.reading(GripperPos);
+        match self {
+            Field(field) => situation.reading(field),
+            Self::RollPitchYaw => pose::roll_pitch_yaw(quaternion).to_vec(),
+            Self::QuaternionVector => vec![x, y, z],
+            Self::InverseAxisAngle => pose::axis_angle(inverse).to_vec(),
+            Self::QuaternionWxyz => vec![w, x, y, z],
+            Self::InverseQuaternion => inverse.to_vec(),
+            Self::PaddedAxisAngle => [&pose::axis_angle(quaternion)[..], &[0.0]].concat(),
             Self::RotationColumns => {
-                let m = pose::matrix(quaternion()?);
+                let m = pose::matrix(quaternion);
                 [0, 3, 6, 1, 4, 7, 2, 5, 8].map(|index| m[index]).to_vec()
             }
-            Self::FingersUnsigned => fingers()?.map(f64::abs).to_vec(),
-            Self::FingersSwapped => fingers()?.into_iter().rev().collect(),
-            Self::FingersShare => fingers()?.map(|number| number.abs() / FINGER_TRAVEL).to_vec(),
-            Self::Opening => vec![fingers()?.iter().map(|number| number.abs()).sum()],
+            Self::FingersUnsigned => fingers.iter().map(|number| number.abs()).collect(),
+            Self::FingersSwapped => {
+                fingers.reverse();
+                fingers
+            }
+            Self::FingersShare => {
+                fingers.iter().map(|number| number.abs() / FINGER_TRAVEL).collect()
+            }
+            Self::Opening => vec![fingers.iter().map(|number| number.abs()).sum()],
             Self::Zeros(count) => vec![0.0; count],
-        })
+        }
     }
 }
 
@@ -216,20 +212,10 @@ impl fmt::Display for Part {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use benchmark::Suite;
 
-    fn situation() -> Situation {
-        Situation {
-            readings: vec![
-                (EefPos, vec![0.1, 0.2, 0.3]),
-                (EefQuatXyzw, pose::from_axis_angle([2.8, 0.4, -0.3]).to_vec()),
-                (JointPos, vec![0.5; 7]),
-                (JointVel, vec![0.1; 7]),
-                (GripperPos, vec![0.03, -0.02]),
-            ],
-            ..Situation::default()
-        }
-    }
+    use super::*;
+    use crate::doctor::synthetic::situations;
 
     #[test]
     fn confusable_layouts_have_the_same_width_and_other_numbers() {
@@ -239,14 +225,14 @@ mod tests {
             vec![EefRotation],
             vec![JointPos, GripperPos],
         ];
+        let situation = &situations(Suite::Goal)[0];
         for fields in declared {
             let parts: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
-            let declared = numbers(&parts, &situation()).expect("the situation has every reading");
+            let declared = numbers(&parts, situation);
             let layouts = confusable(&fields, &[]);
             assert!(layouts.len() > 1, "{fields:?}");
             for layout in layouts {
-                let numbers =
-                    numbers(&layout, &situation()).expect("the situation has every reading");
+                let numbers = numbers(&layout, situation);
                 assert_eq!(numbers.len(), declared.len(), "{}", Parts(&layout));
                 let pairs = numbers.iter().zip(&declared);
                 let difference = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

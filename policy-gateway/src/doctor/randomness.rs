@@ -1,11 +1,11 @@
 //! Randomness of a server's answers: their dependence on the seed, and the difference between
 //! answers to a repeated query.
 
-use crate::doctor::conformance::verdict::BATCH_TOLERANCE;
 use crate::doctor::{
     answers::Answers,
-    server::ExaminationError,
+    probe::ExaminationError,
     server_pair::{SEED, ServerPair, Side},
+    verdict::BATCH_TOLERANCE,
 };
 
 /// Largest difference of answers that count as equal: batches and kernels change low-order bits.

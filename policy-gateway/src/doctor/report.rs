@@ -1,13 +1,13 @@
-//! Reports in lines of 80 columns, and in JSON as documented in docs/JSON.md.
+//! Findings and differences in lines of 80 columns, and in JSON as documented in docs/JSON.md.
 
+use policy_backends::description::DescriptionDifference;
 use proto::policy::DescribeResponse;
 use serde::Serialize;
 use terminal::wrapped;
 
 use crate::doctor::{
+    check::Point,
     compare::Comparison,
-    descriptions::DescriptionDifference,
-    diagnosis::Point,
     difference::{Difference, Kind},
     verdict::Finding,
 };
@@ -16,14 +16,14 @@ use crate::doctor::{
 const INDENT: usize = 6;
 
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct DescribedServer {
+pub struct DescribedServer {
     url: String,
     name: String,
     checkpoint: String,
 }
 
 impl DescribedServer {
-    pub(crate) fn new(url: &str, described: &DescribeResponse) -> Self {
+    pub fn new(url: &str, described: &DescribeResponse) -> Self {
         Self {
             url: url.to_owned(),
             name: described.name.clone(),
@@ -31,7 +31,7 @@ impl DescribedServer {
         }
     }
 
-    pub(crate) fn line(&self, letter: &str) -> String {
+    pub fn line(&self, letter: &str) -> String {
         let checkpoint = match self.checkpoint.is_empty() {
             true => String::new(),
             false => format!(", checkpoint {}", self.checkpoint),
@@ -41,7 +41,7 @@ impl DescribedServer {
     }
 }
 
-pub(crate) fn comparison(comparison: &Comparison) -> Vec<String> {
+pub fn comparison(comparison: &Comparison) -> Vec<String> {
     let Comparison { descriptions, differences, note } = comparison;
     let mut lines: Vec<String> = descriptions.iter().map(description).collect();
     lines.extend(differences.iter().map(difference));
@@ -67,14 +67,14 @@ fn difference(difference: &Difference) -> String {
     wrapped("FAIL  ", INDENT, &words)
 }
 
-pub(crate) fn finding(finding: &Finding<Point>) -> String {
+pub fn finding(finding: &Finding) -> String {
     let text = finding.to_string();
     let (prefix, words) = text.split_at(INDENT);
     wrapped(prefix, INDENT, words)
 }
 
 #[derive(Debug, Serialize)]
-pub(crate) struct ComparisonJson<'a> {
+pub struct ComparisonJson<'a> {
     a: DescribedServer,
     b: DescribedServer,
     is_same: bool,
@@ -91,7 +91,7 @@ struct DifferenceJson<'a> {
 }
 
 impl<'a> ComparisonJson<'a> {
-    pub(crate) fn new(a: DescribedServer, b: DescribedServer, comparison: &'a Comparison) -> Self {
+    pub fn new(a: DescribedServer, b: DescribedServer, comparison: &'a Comparison) -> Self {
         let differences = comparison.differences.iter();
         Self {
             a,
@@ -111,9 +111,9 @@ impl<'a> ComparisonJson<'a> {
 }
 
 #[derive(Debug, Serialize)]
-pub(crate) struct ExaminationJson<'a> {
-    server: DescribedServer,
-    is_sound: bool,
+pub struct CheckJson<'a> {
+    url: &'a str,
+    conforms: bool,
     findings: Vec<FindingJson<'a>>,
 }
 
@@ -124,17 +124,13 @@ struct FindingJson<'a> {
     text: &'a str,
 }
 
-impl<'a> ExaminationJson<'a> {
-    pub(crate) fn new(server: DescribedServer, findings: &'a [Finding<Point>]) -> Self {
-        let finding = |finding: &'a Finding<Point>| {
+impl<'a> CheckJson<'a> {
+    pub fn new(url: &'a str, findings: &'a [Finding]) -> Self {
+        let finding = |finding: &'a Finding| {
             let (verdict, text) = finding.verdict.parts();
             FindingJson { point: finding.point, verdict, text }
         };
         let findings: Vec<FindingJson<'a>> = findings.iter().map(finding).collect();
-        Self {
-            server,
-            is_sound: findings.iter().all(|finding| finding.verdict != "fail"),
-            findings,
-        }
+        Self { url, conforms: findings.iter().all(|finding| finding.verdict != "fail"), findings }
     }
 }

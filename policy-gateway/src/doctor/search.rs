@@ -4,7 +4,7 @@
 use crate::doctor::{
     answers::Answers,
     fit::{Fit, Limit, fit},
-    server::ExaminationError,
+    probe::ExaminationError,
     server_pair::{ServerPair, Side},
     variant::{Topic, Variant},
 };

@@ -4,41 +4,85 @@
 use std::f64::consts::PI;
 
 use benchmark::{Suite, TaskRef};
-use proto::policy::{DescribeResponse, Image, PrivilegedState, StateField};
+use policy_backends::openpi::frame::resize;
+use proto::policy::{
+    CameraRequest, DescribeResponse, Entity, GoalPredicate, Image, Observation, PrivilegedState,
+    StateField, StateReading, entity::Kind,
+};
 
-use crate::doctor::{conformance::scene, situation::Situation};
+use crate::doctor::pose::{self, Quaternion};
 
-pub(crate) const COUNT: usize = 8;
+const COUNT: usize = 8;
 /// Side of the frames, pixels, as in LIBERO.
 const SIDE: usize = 256;
 /// Index of the situation in which the colourful object fills much of the frame, as before a
 /// grasp.
 const CLOSE_UP: usize = 5;
 
-/// Generates situations for a suite, with frames of these cameras.
-pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
+/// Situation of the robot, from which observations for servers with different inputs follow.
+#[derive(Clone, Debug)]
+pub struct Situation {
+    pub instruction: String,
+    index: usize,
+    hand: Hand,
+    joints: [f64; 7],
+    velocities: [f64; 7],
+}
+
+/// Generates situations for a suite.
+pub fn situations(suite: Suite) -> Vec<Situation> {
     let tasks: Vec<TaskRef> = suite.tasks().collect();
     let situation = |index: usize| {
         let mut random = Random(index as u64 + 1);
         let hand = Hand::generate(&mut random, index);
-        let frames = cameras.iter().map(|camera| frame(camera, index));
+        let rest = [0.0, -0.16, 0.0, -2.44, 0.0, 2.23, PI / 4.0];
         Situation {
-            suite: suite.name().to_owned(),
             instruction: tasks[index % tasks.len()].instruction(),
-            frames: frames.collect(),
-            readings: hand.readings(&mut random),
-            privileged: Some(privileged(&hand, index)),
+            index,
+            hand,
+            joints: rest.map(|angle| angle + 0.35 * random.number()),
+            velocities: rest.map(|_| 0.2 * random.number()),
         }
     };
     (0..COUNT).map(situation).collect()
 }
 
-pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
-    let cameras = described.iter().flat_map(|description| &description.cameras);
-    let mut names: Vec<&str> = cameras.map(|camera| camera.name.as_str()).collect();
-    names.sort_unstable();
-    names.dedup();
-    names
+impl Situation {
+    /// Returns the observation for a server with this description.
+    pub fn observation(&self, described: &DescribeResponse) -> Observation {
+        let image = |camera: &CameraRequest| {
+            let size = [camera.width, camera.height];
+            let rgb = frame(&camera.name, self.index);
+            let rgb = resize(&rgb, [SIDE; 2], size.map(|side| side as usize));
+            Image { camera: camera.name.clone(), width: size[0], height: size[1], rgb: rgb.into() }
+        };
+        let reading =
+            |field: StateField| StateReading { field: field.into(), values: self.reading(field) };
+        Observation {
+            images: described.cameras.iter().map(image).collect(),
+            state: described.state().map(reading).collect(),
+            privileged: described.privileged.then(|| privileged(&self.hand, self.index)),
+        }
+    }
+
+    pub(crate) fn reading(&self, field: StateField) -> Vec<f64> {
+        let hand = &self.hand;
+        match field {
+            StateField::Unspecified => vec![],
+            StateField::EefPos => hand.position.to_vec(),
+            StateField::EefQuatXyzw => hand.quaternion.to_vec(),
+            StateField::EefAxisAngle => pose::axis_angle(hand.quaternion).to_vec(),
+            StateField::EefRotation => pose::matrix(hand.quaternion).to_vec(),
+            StateField::JointPos => self.joints.to_vec(),
+            StateField::JointVel => self.velocities.to_vec(),
+            StateField::GripperPos => vec![hand.opening, -hand.opening],
+            StateField::GripperVel => vec![0.01, -0.01],
+        }
+    }
+
+    pub(crate) fn quaternion(&self) -> Quaternion {
+        self.hand.quaternion
+    }
 }
 
 /// SplitMix64 generator, which is the same on every platform.
@@ -63,10 +107,10 @@ fn unit(bits: u64) -> f64 {
     (bits >> 11) as f64 / (1_u64 << 53) as f64
 }
 
+#[derive(Clone, Debug)]
 struct Hand {
     position: [f64; 3],
-    /// Orientation as a quaternion, x y z w.
-    quaternion: [f64; 4],
+    quaternion: Quaternion,
     /// Opening of each finger, m.
     opening: f64,
 }
@@ -89,34 +133,37 @@ impl Hand {
             opening: 0.022 + 0.018 * random.number(),
         }
     }
-
-    fn readings(&self, random: &mut Random) -> Vec<(StateField, Vec<f64>)> {
-        let rest = [0.0, -0.16, 0.0, -2.44, 0.0, 2.23, PI / 4.0];
-        let mut around = |centre: f64, size: f64| centre + size * random.number();
-        vec![
-            (StateField::EefPos, self.position.to_vec()),
-            (StateField::EefQuatXyzw, self.quaternion.to_vec()),
-            (StateField::JointPos, rest.map(|angle| around(angle, 0.35)).to_vec()),
-            (StateField::JointVel, rest.map(|_| around(0.0, 0.2)).to_vec()),
-            (StateField::GripperPos, vec![self.opening, -self.opening]),
-            (StateField::GripperVel, vec![0.01, -0.01]),
-        ]
-    }
 }
 
+/// Returns a scene with a box and a basket, whose goal is the box in the basket.
 fn privileged(hand: &Hand, index: usize) -> PrivilegedState {
-    let described = DescribeResponse { privileged: true, ..DescribeResponse::default() };
-    let mut state = scene::observation(&described, 0).privileged.unwrap_or_default();
+    let entity = |name: &str, kind: Kind, category: &str, pos: [f64; 3], half: [f64; 3]| Entity {
+        name: name.to_owned(),
+        kind: kind.into(),
+        category: category.to_owned(),
+        pos: pos.to_vec(),
+        quat: vec![1.0, 0.0, 0.0, 0.0],
+        half_extents: half.to_vec(),
+        centre: pos.to_vec(),
+    };
     let mut random = Random(1000 + index as u64);
-    let moved = [0.06 * random.number(), 0.06 * random.number(), 0.0];
-    if let Some(object) = state.entities.first_mut() {
-        for position in [&mut object.pos, &mut object.centre] {
-            position.iter_mut().zip(moved).for_each(|(number, shift)| *number += shift);
-        }
+    let butter = [0.05 + 0.06 * random.number(), -0.1 + 0.06 * random.number(), 0.02];
+    let basket = [0.0, 0.25, 0.05];
+    PrivilegedState {
+        entities: vec![
+            entity("butter_1", Kind::Object, "butter", butter, [0.02, 0.04, 0.02]),
+            entity("basket_1", Kind::Object, "basket", basket, [0.08, 0.08, 0.05]),
+            entity("basket_1_contain_region", Kind::Site, "basket_1", basket, [0.06, 0.06, 0.05]),
+        ],
+        joints: vec![],
+        goal: vec![GoalPredicate {
+            predicate: "in".to_owned(),
+            arguments: vec!["butter_1".to_owned(), "basket_1_contain_region".to_owned()],
+        }],
+        grip_pos: hand.position.to_vec(),
+        grip_quat: vec![0.0, 1.0, 0.0, 0.0],
+        gripper_opening: 2.0 * hand.opening,
     }
-    state.grip_pos = hand.position.to_vec();
-    state.gripper_opening = 2.0 * hand.opening;
-    state
 }
 
 /// Object on the table. Positions, from the frame's lower left corner, and sizes are shares of the
@@ -150,7 +197,7 @@ fn objects(random: &mut Random, index: usize) -> Vec<TableObject> {
 }
 
 /// Renders a camera's frame: a lit table with grain and spots, and objects on it.
-fn frame(camera: &str, index: usize) -> Image {
+fn frame(camera: &str, index: usize) -> Vec<u8> {
     let name = camera.bytes().fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
     let mut random = Random(name ^ index as u64);
     let objects = objects(&mut random, index);
@@ -171,7 +218,7 @@ fn frame(camera: &str, index: usize) -> Image {
             rgb.extend(colour.map(|level| (level + lit).clamp(0.0, 255.0) as u8));
         }
     }
-    Image { camera: camera.to_owned(), width: SIDE as u32, height: SIDE as u32, rgb: rgb.into() }
+    rgb
 }
 
 impl TableObject {
@@ -205,27 +252,29 @@ mod tests {
     use super::*;
 
     #[test]
-    fn situations_are_reproducible_and_differ_from_each_other() {
-        let cameras = ["agentview", "robot0_eye_in_hand"];
-        let generated = situations(Suite::Goal, &cameras);
-        let regenerated = situations(Suite::Goal, &cameras);
-        assert_eq!(generated.len(), COUNT);
-        for (index, situation) in generated.iter().enumerate() {
-            assert_eq!(situation.frames, regenerated[index].frames);
-            assert_ne!(situation.frames[0].rgb, situation.frames[1].rgb);
-            for earlier in &generated[..index] {
-                assert_ne!(situation.frames[0].rgb, earlier.frames[0].rgb);
-                assert_ne!(situation.readings, earlier.readings);
-                assert_ne!(situation.instruction, earlier.instruction);
+    fn situations_are_reproducible_differ_and_have_either_sign_of_w() {
+        let camera = |name: &str| CameraRequest { name: name.to_owned(), width: 64, height: 48 };
+        let described = DescribeResponse {
+            cameras: ["agentview", "robot0_eye_in_hand"].map(camera).into(),
+            state: vec![StateField::EefPos.into()],
+            ..DescribeResponse::default()
+        };
+        let generated = situations(Suite::Goal);
+        let observe = |situations: &[Situation]| -> Vec<Observation> {
+            situations.iter().map(|situation| situation.observation(&described)).collect()
+        };
+        let observations = observe(&generated);
+        assert_eq!(observations, observe(&situations(Suite::Goal)));
+        for (index, observation) in observations.iter().enumerate() {
+            assert_eq!(observation.images[0].rgb.len(), 3 * 64 * 48);
+            assert_ne!(observation.images[0].rgb, observation.images[1].rgb);
+            for earlier in 0..index {
+                assert_ne!(observation.images[0].rgb, observations[earlier].images[0].rgb);
+                assert_ne!(observation.state, observations[earlier].state);
+                assert_ne!(generated[index].instruction, generated[earlier].instruction);
             }
         }
-    }
-
-    #[test]
-    fn quaternions_have_either_sign_of_w() {
-        let signs = situations(Suite::Object, &[]);
-        let signs = signs.iter().filter_map(Situation::quaternion);
-        let negative = signs.filter(|sign| sign[3] < 0.0).count();
-        assert_eq!(negative, COUNT / 2);
+        let negative = generated.iter().filter(|situation| situation.quaternion()[3] < 0.0);
+        assert_eq!(negative.count(), COUNT / 2);
     }
 }

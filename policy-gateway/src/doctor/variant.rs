@@ -5,18 +5,15 @@ use std::fmt;
 use proto::policy::{DescribeResponse, Image, Observation, StateField};
 
 use crate::doctor::{
-    filter::Filter,
     layout::{self, Part, Parts},
     pose,
-    situation::Situation,
+    synthetic::Situation,
 };
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Variant {
     /// Rotates or flips the frames of one camera, or of all cameras if `None`.
     Turned(Turn, Option<String>),
-    /// Scales frames to this width and height, and back.
-    Resized([u32; 2], Filter),
     /// Swaps the first two cameras' frames.
     CamerasSwapped,
     /// Reverses the channels to blue, green, red.
@@ -52,15 +49,11 @@ pub(crate) enum SignRule {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Topic {
     Orientation,
-    Size,
     Cameras,
     Colours,
     Sign,
     State,
 }
-
-/// Common input sizes of networks, pixels.
-const SIDES: [u32; 7] = [64, 84, 112, 128, 160, 192, 224];
 
 impl Variant {
     /// Returns all variants that can affect a server with this description. `other` is the
@@ -97,25 +90,16 @@ impl Variant {
         let other_fields: Vec<StateField> = other.state().collect();
         let layouts = layout::confusable(&fields, &other_fields);
         variants.extend(layouts.into_iter().map(Self::State));
-        variants.extend(sizes(described, other));
         variants
     }
 
     pub(crate) fn topic(&self) -> Topic {
         match self {
             Self::Turned(..) => Topic::Orientation,
-            Self::Resized(..) => Topic::Size,
             Self::CamerasSwapped => Topic::Cameras,
             Self::ColoursReversed => Topic::Colours,
             Self::Sign(_) => Topic::Sign,
             Self::State(_) => Topic::State,
-        }
-    }
-
-    pub(crate) fn applies(&self, situation: &Situation) -> bool {
-        match self {
-            Self::State(parts) => layout::numbers(parts, situation).is_some(),
-            _ => true,
         }
     }
 
@@ -124,7 +108,7 @@ impl Variant {
     pub(crate) fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),
-            Self::Resized(..) | Self::Sign(SignRule::PositiveW) | Self::State(_) => false,
+            Self::Sign(SignRule::PositiveW) | Self::State(_) => false,
             Self::CamerasSwapped | Self::ColoursReversed | Self::Sign(SignRule::Negated) => true,
         }
     }
@@ -136,11 +120,6 @@ impl Variant {
                     if only.as_ref().is_none_or(|camera| *camera == image.camera) {
                         turn.apply(image);
                     }
-                }
-            }
-            Self::Resized(size, filter) => {
-                for image in &mut observation.images {
-                    filter.apply(*size, image);
                 }
             }
             Self::CamerasSwapped => {
@@ -161,37 +140,13 @@ impl Variant {
                 }
             }
             Self::State(parts) => {
-                let Some(numbers) = layout::numbers(parts, situation) else {
-                    return;
-                };
-                let mut numbers = numbers.into_iter();
+                let mut numbers = layout::numbers(parts, situation).into_iter();
                 for value in observation.state.iter_mut().flat_map(|reading| &mut reading.values) {
                     *value = numbers.next().unwrap_or_default();
                 }
             }
         }
     }
-}
-
-/// Returns the variants with sizes below the server's own, the other server's size first.
-fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant> {
-    let size = |description: &DescribeResponse| {
-        let camera = description.cameras.first()?;
-        Some([camera.width, camera.height])
-    };
-    let Some([width, height]) = size(described) else {
-        return vec![];
-    };
-    let common_sizes = SIDES.map(|side| [side, side]);
-    let candidates = size(other).into_iter().chain(common_sizes);
-    let mut sizes: Vec<[u32; 2]> = vec![];
-    for [w, h] in candidates {
-        if w < width && h < height && !sizes.contains(&[w, h]) {
-            sizes.push([w, h]);
-        }
-    }
-    let filtered = |size| Filter::ALL.map(|filter| Variant::Resized(size, filter));
-    sizes.into_iter().flat_map(filtered).collect()
 }
 
 impl Turn {
@@ -257,9 +212,6 @@ impl fmt::Display for Variant {
                     Turn::Right => "turned by 90° to the right",
                 })
             }
-            Self::Resized([width, height], filter) => {
-                write!(f, "frames scaled to {width} × {height} pixels and back ({filter})")
-            }
             Self::CamerasSwapped => f.write_str("the frames of the two cameras exchanged"),
             Self::ColoursReversed => f.write_str("frames in blue, green, red (BGR)"),
             Self::Sign(SignRule::Negated) => f.write_str("the quaternion's sign flipped"),
@@ -274,7 +226,15 @@ impl fmt::Display for Variant {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::doctor::filter::tests::image;
+
+    fn image(rgb: &[u8]) -> Image {
+        Image {
+            camera: "agentview".to_owned(),
+            width: 2,
+            height: 2,
+            rgb: rgb.iter().flat_map(|value| [*value; 3]).collect::<Vec<u8>>().into(),
+        }
+    }
 
     #[test]
     fn frames_are_turned_in_the_upright_picture() {
@@ -291,20 +251,5 @@ mod tests {
             turn.apply(&mut turned);
             assert_eq!(turned, image(&expected), "{turn:?}");
         }
-    }
-
-    #[test]
-    fn the_sign_of_quaternions_and_of_axis_angles_is_flipped() {
-        let quaternion = [0.96, 0.0, 0.2, -0.196];
-        let mut values = quaternion.to_vec();
-        SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
-        assert_eq!(values, quaternion.map(|number: f64| -number));
-        let unchanged = values.clone();
-        SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
-        assert_eq!(values, unchanged);
-
-        let mut rotation = vec![3.0, 0.0, 0.0];
-        SignRule::Negated.apply(StateField::EefAxisAngle, &mut rotation);
-        assert!((rotation[0] - (3.0 - 2.0 * std::f64::consts::PI)).abs() < 1e-9);
     }
 }

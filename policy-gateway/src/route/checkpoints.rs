@@ -5,12 +5,10 @@ use std::{collections::BTreeMap, sync::Arc};
 use policy_backends::{BackendSpec, UnusableBackend};
 
 use super::{pool::Pool, replica::Replica};
-use crate::config::{CheckpointSpecs, RouteSpec};
+use crate::config::RouteSpec;
 
-pub(super) enum Checkpoints {
-    One(Arc<Pool>),
-    PerSuite(BTreeMap<String, Arc<Pool>>),
-}
+/// Pools by suite; that of the empty name serves all suites.
+pub(super) struct Checkpoints(BTreeMap<String, Arc<Pool>>);
 
 impl Checkpoints {
     /// Creates the pools of `spec`. Reuses the `existing` replicas whose settings are unchanged.
@@ -26,55 +24,33 @@ impl Checkpoints {
                 None => Replica::new(backend, &access, spec).map(Arc::new),
             }
         };
-        let pool = |suite: &str, replicas: &[BackendSpec]| {
-            let replicas = replicas.iter().map(replica);
-            let replicas = replicas.collect::<Result<_, UnusableBackend>>()?;
-            Ok::<_, UnusableBackend>(Arc::new(Pool::new(suite, replicas, spec.batching)))
-        };
-        Ok(match &spec.checkpoints {
-            CheckpointSpecs::One(replicas) => Self::One(pool("", replicas)?),
-            CheckpointSpecs::PerSuite(suites) => {
-                let pools = suites
-                    .iter()
-                    .map(|(suite, replicas)| Ok((suite.clone(), pool(suite, replicas)?)));
-                Self::PerSuite(pools.collect::<Result<_, UnusableBackend>>()?)
-            }
-        })
+        let pools = spec.checkpoints.iter().map(|(suite, replicas)| {
+            let replicas = replicas.iter().map(replica).collect::<Result<_, UnusableBackend>>()?;
+            Ok((suite.clone(), Arc::new(Pool::new(suite, replicas, spec.batching))))
+        });
+        Ok(Self(pools.collect::<Result<_, UnusableBackend>>()?))
     }
 
     pub(super) fn pool(&self, suite: &str) -> Option<&Arc<Pool>> {
-        match self {
-            Self::One(pool) => Some(pool),
-            Self::PerSuite(pools) => pools.get(suite),
-        }
+        self.0.get("").or_else(|| self.0.get(suite))
     }
 
     /// Lists the suites that have their own pool, separated by commas.
     pub(super) fn suites(&self) -> String {
-        match self {
-            Self::One(_) => String::new(),
-            Self::PerSuite(pools) => pools.keys().cloned().collect::<Vec<_>>().join(", "),
-        }
+        self.0.keys().cloned().collect::<Vec<_>>().join(", ")
     }
 
     /// Returns the only replica; `None` if there are several replicas, or a pool per suite.
     pub(super) fn only(&self) -> Option<(Arc<Pool>, Arc<Replica>)> {
-        match self {
-            Self::One(pool) => match pool.replicas() {
-                [replica] => Some((Arc::clone(pool), Arc::clone(replica))),
-                _ => None,
-            },
-            Self::PerSuite(_) => None,
+        let pool = self.0.get("")?;
+        match pool.replicas() {
+            [replica] => Some((Arc::clone(pool), Arc::clone(replica))),
+            _ => None,
         }
     }
 
     /// Returns every replica of every pool.
     pub(super) fn replicas(&self) -> Vec<Arc<Replica>> {
-        match self {
-            Self::One(pool) => pool.replicas().to_vec(),
-            Self::PerSuite(pools) => {
-                pools.values().flat_map(|pool| pool.replicas().iter().cloned()).collect()
-            }
-        }
+        self.0.values().flat_map(|pool| pool.replicas().iter().cloned()).collect()
     }
 }

@@ -23,7 +23,7 @@ pub enum RouteError {
     },
     #[error(
         "route {route} ({replica}) got an answer to query {query_index} that is no chunk of \
-         actions: {source}; `policy-gateway doctor {replica}` looks for the cause"
+         actions: {source}; `policy-gateway check {replica}` looks for the cause"
     )]
     Action {
         route: RouteName,

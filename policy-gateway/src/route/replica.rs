@@ -15,8 +15,8 @@ use std::{
 };
 
 use policy_backends::{
-    Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, open,
-    recorder::Recorder, shorten::shorten,
+    Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, recorder::Recorder,
+    shorten::shorten,
 };
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
@@ -99,7 +99,7 @@ impl Replica {
         route: &RouteSpec,
     ) -> Result<Self, UnusableBackend> {
         let RouteSpec { answer_within, batching, .. } = *route;
-        let backend = open(spec, access)?;
+        let backend = spec.open(access)?;
         let backend = match &route.record {
             Some(into) => Arc::new(Recorder::new(backend, into.clone())),
             None => backend,

@@ -1,7 +1,7 @@
 //! The conformance check fails servers on exactly the points that they violate. The gateway's tests
 //! show that it passes conforming servers.
 
-use policy_gateway::doctor::conformance::Point::{
+use policy_gateway::doctor::check::Point::{
     self, Batch, Isolation, Order, OtherSeed, Range, Restart, Retry, SameSeed, Shape, Unopened,
     Version,
 };
@@ -15,7 +15,7 @@ where
     F: Fn(Query) -> Result<InferResponse, Status> + Send + Sync + 'static,
 {
     let server = serve(Scripted::new(described, answer)).await;
-    let mut found = failures(&server, "").await;
+    let mut found = failures(&server.address.to_string()).await;
     // A scripted policy does not check versions.
     assert_eq!(found.remove(0), Version);
     assert_eq!(found, expected);

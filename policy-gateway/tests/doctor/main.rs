@@ -2,8 +2,7 @@
 
 mod compare;
 mod conformance;
-mod diagnosis;
-mod looks;
+mod mistakes;
 mod planted;
 #[allow(dead_code, reason = "the gateway's tests stop these servers and call them directly")]
 mod scripted;

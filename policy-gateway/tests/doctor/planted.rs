@@ -190,25 +190,6 @@ pub(crate) fn upside_down(frame: &mut Image) {
     frame.rgb = rows.flatten().copied().collect::<Vec<u8>>().into();
 }
 
-/// Halves the sides of a frame by averaging squares of four pixels, and doubles the sides again by
-/// repeating each mean.
-pub(crate) fn halved_and_doubled(frame: &mut Image) {
-    let width = frame.width as usize;
-    let old = frame.rgb.clone();
-    let level = |row: usize, column: usize, channel: usize| {
-        u32::from(old[3 * (row * width + column) + channel])
-    };
-    let number = |index: usize| {
-        let (row, column, channel) = (index / 3 / width, index / 3 % width, index % 3);
-        let (row, column) = (row & !1, column & !1);
-        let four = [(0, 0), (0, 1), (1, 0), (1, 1)];
-        let sum: u32 =
-            four.iter().map(|(down, right)| level(row + down, column + right, channel)).sum();
-        (sum / 4) as u8
-    };
-    frame.rgb = (0..old.len()).map(number).collect::<Vec<u8>>().into();
-}
-
 #[tonic::async_trait]
 impl Policy for Planted {
     async fn describe(

@@ -10,7 +10,12 @@ use std::{
     },
 };
 
-use policy_gateway::doctor::conformance::{self, Point, Target};
+use benchmark::Suite;
+use policy_gateway::doctor::{
+    check::{Point, check},
+    probe::Target,
+    verdict::Finding,
+};
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
     InferBatchResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
@@ -212,22 +217,29 @@ pub(crate) fn stochastic() -> DescribeResponse {
     DescribeResponse { stochastic: true, ..description("p", 1) }
 }
 
-pub(crate) async fn failures(server: &Running, policy: &str) -> Vec<Point> {
-    let target = Target {
-        url: format!("grpc://{}", server.address),
+/// Checks a server, given by its address, with `/POLICY` if it has several policies.
+pub(crate) async fn findings(address: &str) -> Vec<Finding> {
+    let mut findings = vec![];
+    let conforms = check(&target(address), &mut |finding| findings.push(finding.clone())).await;
+    let failed = |finding: &Finding| finding.verdict.has_failed();
+    assert_eq!(conforms.expect("a server"), !findings.iter().any(failed));
+    findings
+}
+
+pub(crate) fn target(address: &str) -> Target {
+    let (host, policy) = address.split_once('/').unwrap_or((address, ""));
+    Target {
+        url: format!("grpc://{host}"),
         shown: "the server".to_owned(),
         policy: policy.to_owned(),
-        suite: "libero_object".to_owned(),
+        suite: Suite::Goal,
         access: transport::Access::none(),
-    };
-    let mut failed = vec![];
-    let conforms = conformance::check(&target, &mut |finding| {
-        if finding.verdict.has_failed() {
-            failed.push(finding.point);
-        }
-    })
-    .await
-    .expect("the server can be checked");
-    assert_eq!(conforms, failed.is_empty());
-    failed
+    }
+}
+
+/// Returns the points of the protocol that a server violates.
+pub(crate) async fn failures(address: &str) -> Vec<Point> {
+    let mut findings = findings(address).await;
+    findings.retain(|finding| finding.verdict.has_failed());
+    findings.into_iter().map(|finding| finding.point).collect()
 }

@@ -40,7 +40,7 @@ async fn invalid_actions_are_refused_with_route_query_and_remedy() {
     for (answer, expected) in cases {
         let status = refusal(Ok(answer)).await;
         assert_eq!(status.code(), Code::Internal);
-        for part in [expected, "query 3", "`policy-gateway doctor grpc://"] {
+        for part in [expected, "query 3", "`policy-gateway check grpc://"] {
             assert!(status.message().contains(part), "{part} in {status}");
         }
     }

@@ -147,7 +147,7 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
 
     // A token in the environment is enough to check a policy.
     let url = format!("grpc://{address}");
-    let checked = program(&["check", &url, "--policy", "noop"])
+    let checked = program(&["check", &format!("{url}/noop")])
         .env("ROLLOUT_TOKEN_FILE", path)
         .output()
         .expect("the program runs");

@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use policy_backends::{BackendSpec, recorder::RecordInto, recording};
+use policy_backends::{recorder::RecordInto, recording};
 use policy_gateway::config::RouteSpec;
 use proto::policy::{Image, InferRequest, InferResponse, Observation, policy_client::PolicyClient};
 use tonic::{Code, Status, transport::Channel};
@@ -54,7 +54,10 @@ async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
 
 async fn replay(folder: &Path) -> Running {
     let name = "x".parse().expect("a name");
-    let route = RouteSpec::new(name, vec![BackendSpec::Replay(folder.to_owned())]);
+    let route = RouteSpec::new(
+        name,
+        vec![format!("replay:{}", folder.display()).parse().expect("a back-end")],
+    );
     reloadable(vec![route]).await.0
 }
 

@@ -8,7 +8,7 @@ use std::{
     },
 };
 
-use policy_gateway::config::{Batching, CheckpointSpecs, Config, RouteSpec};
+use policy_gateway::config::{Batching, Config, RouteSpec};
 use proto::policy::{DescribeRequest, DescribeResponse, ResetRequest, policy_client::PolicyClient};
 use tonic::{Code, transport::Channel};
 
@@ -132,10 +132,7 @@ fn per_suite(goal: &Running, object: &Running) -> RouteSpec {
     };
     let suites = [("libero_goal", goal), ("libero_object", object)];
     let suites = suites.map(|(suite, server)| (suite.to_owned(), backend(server)));
-    RouteSpec {
-        checkpoints: CheckpointSpecs::PerSuite(suites.into_iter().collect()),
-        ..route(&replicas(&[goal]))
-    }
+    RouteSpec { checkpoints: suites.into(), ..route(&replicas(&[goal])) }
 }
 
 fn route(text: &str) -> RouteSpec {

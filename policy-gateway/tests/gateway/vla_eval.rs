@@ -3,9 +3,10 @@
 
 use std::{sync::Arc, time::Duration};
 
+use benchmark::Suite;
 use futures_util::{SinkExt, StreamExt};
 use policy_gateway::config::{self, RouteSpec};
-use policy_gateway::doctor::conformance::scene;
+use policy_gateway::doctor::synthetic;
 use proto::policy::{InferRequest, policy_client::PolicyClient};
 use rmpv::Value;
 use tokio::{
@@ -170,7 +171,9 @@ async fn query(
 ) -> Result<Vec<f32>, Status> {
     let described = client.describe(describe("x")).await?.into_inner();
     let request = InferRequest {
-        observation: Some(scene::observation(&described, query_index)),
+        observation: Some(
+            synthetic::situations(Suite::Object)[query_index as usize].observation(&described),
+        ),
         ..infer("x", session, query_index)
     };
     Ok(client.infer(request).await?.into_inner().actions)

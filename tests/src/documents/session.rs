@@ -210,9 +210,7 @@ fn runs_until_stopped(command: &str) -> bool {
     let first = words.first().copied().unwrap_or_default();
     match program {
         "coordinator" => ["serve", "up"].contains(&first) || displays_progress(command),
-        "policy-gateway" => {
-            !["check", "compare", "doctor"].contains(&first) && !words.contains(&"--help")
-        }
+        "policy-gateway" => !["check", "compare"].contains(&first) && !words.contains(&"--help"),
         "worker" => first == "--connect",
         "python" | "python3" => {
             words.contains(&"--listen") || words.contains(&"serve") || first.ends_with("policy.py")

@@ -5,12 +5,11 @@
 use std::sync::LazyLock;
 
 use policy_backends::description;
-use policy_backends::openpi::codec;
-use policy_backends::vla_eval;
+use policy_backends::spec::KINDS;
 use policy_gateway::config::Config;
 use policy_gateway::service::Gateway;
 use prost::Message;
-use proto::checks::{ACTION_WIDTH, LARGEST_NUMBER, MAX_HORIZON};
+use proto::checks::{LARGEST_NUMBER, MAX_HORIZON};
 use proto::policy as wire;
 use proto::policy::policy_server::PolicyServer;
 use tonic::service::Routes;
@@ -72,16 +71,10 @@ pub(crate) fn check_answers(input: &[u8]) -> bool {
         let is_bounded = |number: &f32| number.abs() <= LARGEST_NUMBER;
         assert!(response.actions.iter().all(is_bounded));
     }
-    if let Ok(chunk) = codec::answer(input) {
-        is_accepted = true;
-        let [count, width] = chunk.shape;
-        assert_eq!(count * width, chunk.numbers.len());
-    }
-    if let Ok(response) = vla_eval::answer(input, 1, 1) {
-        is_accepted = true;
-        let grippers = response.actions.chunks(ACTION_WIDTH);
-        if proto::checks::actions(&response, 1).is_ok() {
-            assert!(grippers.flat_map(|action| action.last()).all(|gripper| gripper.abs() == 1.0));
+    for answers in KINDS.iter().filter_map(|kind| kind.answers.as_ref()) {
+        if let Some(response) = (answers.read)(input) {
+            is_accepted = true;
+            assert!(response.actions.len().is_multiple_of(response.action_width.max(1) as usize));
         }
     }
     is_accepted
@@ -104,16 +97,8 @@ pub(crate) fn answer_seeds() -> Vec<Vec<u8>> {
         ..wire::DescribeResponse::default()
     };
     let response = wire::InferResponse { actions: vec![0.5; 14], action_width: 7 };
-    // A map whose key `actions` holds an array of one action, as msgpack_numpy writes it.
-    let mut chunk = b"\x81\xa7actions\x84\xc4\x0b__ndarray__\xc3\xc4\x04data\xc4\x1c".to_vec();
-    chunk.extend([0; 28]);
-    chunk.extend(b"\xc4\x05dtype\xa3<f4\xc4\x05shape\x92\x01\x07");
-    // One action, as vla-eval's servers write it.
-    let mut action = b"\x84\xa4type\xa6action\xa7payload\x81\xa7actions".to_vec();
-    action.extend(b"\x84\xab__ndarray__\xc3\xa4data\xc4\x1c");
-    action.extend([0; 28]);
-    action.extend(b"\xa5dtype\xa3<f4\xa5shape\x91\x07\xa3seq\x01\xa9timestamp\x00");
-    vec![described.encode_to_vec(), response.encode_to_vec(), chunk, action]
+    let examples = KINDS.iter().filter_map(|kind| Some(kind.answers.as_ref()?.example.to_vec()));
+    [described.encode_to_vec(), response.encode_to_vec()].into_iter().chain(examples).collect()
 }
 
 fn session(policy: &str) -> Vec<u8> {

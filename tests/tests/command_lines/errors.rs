@@ -187,8 +187,7 @@ const CASES: [(&str, &[&str]); 16] = [
             "policy-gateway --config no.toml",
             "policy-gateway --config key.toml",
             "policy-gateway --config type.toml",
-            "policy-gateway replay missing --policy p",
-            "policy-gateway doctor grpc://127.0.0.1:9 --recorded missing",
+            "policy-gateway --route p=replay:missing",
         ],
     ),
     (
@@ -196,7 +195,6 @@ const CASES: [(&str, &[&str]); 16] = [
         &[
             "policy-gateway compare grpc://127.0.0.1:9 grpc://127.0.0.1:9",
             "policy-gateway check grpc://127.0.0.1:9",
-            "policy-gateway doctor grpc://127.0.0.1:9",
         ],
     ),
     (

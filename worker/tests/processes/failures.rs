@@ -43,7 +43,7 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
             (
                 "nan",
                 "gave an invalid answer to query 1: component 2 of action 1 is NaN; \
-                 `policy-gateway doctor`",
+                 `policy-gateway check`",
             ),
             ("narrow", "its actions are 6 numbers wide, not 7"),
             ("ragged", "it answered 13 numbers, which is not a multiple of 7"),

@@ -62,7 +62,7 @@ fn verify_digests(unpacked: &Path) -> Result<String> {
 
 /// Checks that the archive has manual pages and files for users.
 fn check_documents(unpacked: &Path) -> Result<&'static str> {
-    for page in ["worker.1", "coordinator-campaign-create.1", "policy-gateway-doctor.1"] {
+    for page in ["worker.1", "coordinator-campaign-create.1", "policy-gateway-check.1"] {
         let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
         ensure!(text.contains(".SH OPTIONS"), "read {page}: the manual page has no options");
     }

@@ -2,9 +2,7 @@
 //! simulator's own state, so all its results are marked privileged.
 
 use benchmark::{Entity, EntityKind, Predicate, Privileged};
-use proto::policy::{
-    self as wire, CameraRequest, DescribeResponse, Language, Observation, StateField, entity::Kind,
-};
+use proto::policy::{self as wire, DescribeResponse, Language, Observation, entity::Kind};
 
 use super::{Action, BuiltinPolicy};
 
@@ -21,19 +19,6 @@ pub fn describe() -> DescribeResponse {
         language: Language::Ignored.into(),
         privileged: true,
         ..DescribeResponse::default()
-    }
-}
-
-/// Returns the description of the expert whose recordings serve other policies: it also requests
-/// frames of both cameras, at the size of LIBERO's demonstrations, and the robot's readings.
-pub fn describe_with_frames() -> DescribeResponse {
-    let camera = |name: &str| CameraRequest { name: name.to_owned(), width: 256, height: 256 };
-    let readings =
-        [StateField::EefPos, StateField::EefQuatXyzw, StateField::GripperPos, StateField::JointPos];
-    DescribeResponse {
-        cameras: ["agentview", "robot0_eye_in_hand"].map(camera).into(),
-        state: readings.map(i32::from).into(),
-        ..describe()
     }
 }
 

@@ -2,7 +2,10 @@
 //! evaluations without a checkpoint or a GPU. The network is in `builtin_policies::student`.
 
 use std::{
+    convert::Infallible,
+    fmt,
     path::{Path, PathBuf},
+    str::FromStr,
     sync::{Arc, LazyLock},
 };
 
@@ -11,8 +14,39 @@ use builtin_policies::student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsEr
 use proto::checks::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use thiserror::Error;
+use transport::Access;
 
-use super::{Action, BuiltinPolicy, Policy};
+use super::{Action, BuiltinPolicy, Policy, backend::BuiltinBackend};
+use crate::{
+    backend::Backend,
+    spec::{Kind, OwnError, Specified},
+};
+
+pub(crate) const KIND: Kind =
+    Kind::new::<WeightsFile>(&["student"], "student:FILE (weights that training exported)");
+
+#[derive(Clone, Debug)]
+struct WeightsFile(PathBuf);
+
+impl FromStr for WeightsFile {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(Self(text.trim_start_matches("student:").into()))
+    }
+}
+
+impl fmt::Display for WeightsFile {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "student:{}", self.0.display())
+    }
+}
+
+impl Specified for WeightsFile {
+    fn open(&self, _: &Access) -> Result<Arc<dyn Backend>, OwnError> {
+        Ok(Arc::new(BuiltinBackend::new(self.to_string(), read(&self.0)?)))
+    }
+}
 
 /// Robot readings that the student takes, in order.
 const STATE: [StateField; 3] =

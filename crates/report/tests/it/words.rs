@@ -38,7 +38,7 @@ fn a_share_of_zero_has_no_bootstrap_interval_but_one_for_new_tasks() {
 #[test]
 fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
     let mut subject = example();
-    assert!(!page(&document(vec![subject.clone()])).contains("policy-gateway doctor"));
+    assert!(!page(&document(vec![subject.clone()])).contains("policy-gateway check"));
     let failed = (0..3).map(|state| paired::Record {
         id: format!("object/t0/nominal/i{state:02}").parse().expect("an id"),
         replicate: 0,
@@ -50,7 +50,7 @@ fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
         "policy `OpenVLA-OFT` solved none of 3 nominal rollouts, so that nothing is known";
     let text = document(vec![subject]).text();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in [expected, "`policy-gateway doctor`"] {
+    for part in [expected, "`policy-gateway check`"] {
         assert!(text.contains(part), "{part} in {text}");
     }
 }

@@ -7,10 +7,11 @@ use std::time::Duration;
 use benchmark::{CONTROL_HZ, Delays, LatencyFileError};
 use serde::Serialize;
 
-use super::ConformanceError;
-use super::probe::Probe;
-use super::{CONCURRENCY, Target};
-use crate::doctor::verdict::percentile;
+use crate::doctor::{
+    check::CONCURRENCY,
+    probe::{ExaminationError, Probe, Target},
+    verdict::percentile,
+};
 
 const ROUNDS: u32 = 20;
 
@@ -40,18 +41,15 @@ pub struct Latency {
 }
 
 /// Measures the latency of a policy server.
-pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
+pub async fn measure(target: &Target) -> Result<Latency, ExaminationError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
     for _ in 0..ROUNDS {
         let round = probe.concurrent_episodes(CONCURRENCY).await;
-        let (_, round) = round.map_err(|status| ConformanceError::Episode {
-            url: target.shown.clone(),
-            status: status.into(),
-        })?;
+        let (_, round) = round.map_err(|status| probe.failed(status))?;
         latencies.extend(round);
     }
-    let described = probe.described();
+    let described = &probe.described;
     Ok(Latency {
         server: target.shown.clone(),
         policy: described.name.clone(),

@@ -1,53 +1,29 @@
-//! `doctor` finds a mistake planted in a server, and reports nothing for other servers.
+//! `check` warns of a mistake planted in a server, and of nothing for other servers.
 
-use std::time::Duration;
-
-use benchmark::Suite;
-use policy_gateway::doctor::{
-    diagnosis::{Measures, Point, examine},
-    server::Server,
-    synthetic,
-    verdict::{Finding, Verdict},
-};
+use policy_gateway::doctor::{check::Point, verdict::Verdict};
 use proto::policy::{Language, StateField};
 
 use crate::{
     compare::SOUND,
     planted::{NetworkInput, Planted},
-    scripted::serve,
+    scripted::{findings, serve},
 };
 
-const MEASURES: Measures = Measures { answer_within: Duration::from_secs(50), episodes: 3 };
-
-async fn examined(url: &str, measures: Measures) -> Vec<Finding<Point>> {
-    let spec = url.parse().expect("a back-end");
-    let server = Server::connect(&spec, &transport::Access::none(), "libero_goal").await;
-    let server = server.expect("a description");
-    let cameras = synthetic::cameras(&[&server.described]);
-    let situations = synthetic::situations(Suite::Goal, &cameras);
-    let mut findings = vec![];
-    let mut report = |finding: &Finding<Point>| findings.push(finding.clone());
-    let is_sound = examine(&server, &situations, &[], measures, &mut report).await;
-    let is_sound = is_sound.expect("an examination");
-    let failed = |finding: &Finding<Point>| finding.verdict.has_failed();
-    assert_eq!(is_sound, !findings.iter().any(failed));
-    let points: Vec<Point> = findings.iter().map(|finding| finding.point).collect();
-    assert_eq!(points, Point::ALL);
-    findings
-}
-
-async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
+/// Returns the warnings, and a failure of the actions' range.
+async fn faults(policy: Planted) -> Vec<(Point, String)> {
     let server = serve(policy).await;
-    let findings = examined(&format!("grpc://{}", server.address), measures).await;
-    let failed = findings.into_iter().filter_map(|finding| match finding.verdict {
-        Verdict::Fail { reason } => Some((finding.point, reason)),
+    let findings = findings(&server.address.to_string()).await.into_iter();
+    let faults = findings.filter_map(|finding| match finding.verdict {
+        // A planted policy checks no versions, keeps no answers for retries, and may round.
+        Verdict::Fail { .. } if finding.point != Point::Range => None,
+        Verdict::Warn { reason } | Verdict::Fail { reason } => Some((finding.point, reason)),
         _ => None,
     });
-    failed.collect()
+    faults.collect()
 }
 
 async fn finds(policy: Planted, expected: &[Point], words: &str) {
-    let failed = failures(policy, MEASURES).await;
+    let failed = faults(policy).await;
     let points: Vec<Point> = failed.iter().map(|(point, _)| *point).collect();
     assert_eq!(points, expected, "{failed:?}");
     assert!(failed[0].1.contains(words), "{words:?} in {failed:?}");
@@ -94,7 +70,7 @@ async fn ignored_instructions_are_found_unless_declared() {
     finds(ignoring_instructions(), &[Point::Instructions], "8 other instructions").await;
     let mut declared = ignoring_instructions();
     declared.described.language = Language::Ignored.into();
-    assert_eq!(failures(declared, MEASURES).await, []);
+    assert_eq!(faults(declared).await, []);
 }
 
 #[tokio::test]
@@ -128,22 +104,6 @@ async fn a_server_that_samples_is_judged_by_means_of_its_answers() {
 }
 
 #[tokio::test]
-async fn nan_actions_are_found() {
-    let nan = Planted::sound().finishing(|actions| actions[1][3] = f64::NAN);
-    finds(nan, &[Point::Actions], "component 3 of action 1 is NaN").await;
-}
-
-#[tokio::test]
-async fn answers_that_come_too_late_are_found() {
-    let slow = Planted::sound().preparing(|_| std::thread::sleep(Duration::from_millis(30)));
-    let measures = Measures { answer_within: Duration::from_millis(20), episodes: 0 };
-    let failed = failures(slow, measures).await;
-    assert_eq!(failed.len(), 1, "{failed:?}");
-    assert_eq!(failed[0].0, Point::Latency);
-    assert!(failed[0].1.contains("treats a server"), "{failed:?}");
-}
-
-#[tokio::test]
 async fn servers_without_mistakes_pass_every_check() {
     let joints = || {
         let mut joints = Planted::sound().with_state(&[StateField::JointPos]);
@@ -151,9 +111,6 @@ async fn servers_without_mistakes_pass_every_check() {
         joints
     };
     for policy in [&SOUND[..], &[joints]].concat() {
-        assert_eq!(failures(policy(), MEASURES).await, []);
+        assert_eq!(faults(policy()).await, []);
     }
-    let findings = examined("builtin:expert", MEASURES).await;
-    let failed = findings.iter().filter(|finding| finding.verdict.has_failed());
-    assert_eq!(failed.count(), 0, "{findings:?}");
 }

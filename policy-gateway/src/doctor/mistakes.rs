@@ -1,33 +1,23 @@
-//! Verdicts of the diagnosis, as pure functions of a server's answers. Each failure states what was
-//! observed, its usual cause and the remedy.
+//! Verdicts on the usual mistakes, as pure functions of a server's answers. Each failure states what
+//! was observed, its usual cause and the remedy.
 
-use std::time::Duration;
-
-use proto::checks::ActionFault;
+use benchmark::Action;
 use proto::policy::{DescribeResponse, Language};
 
 use crate::doctor::{
     fit::GRIPPER,
     randomness::{REPEATABLE, SEEDS_PER_MEAN},
-    server::Action,
-    verdict::{Verdict, fail, pass, percentile, skip},
+    verdict::{Verdict, fail, pass, skip},
 };
 
 /// Largest difference between values that count as equal.
 const SAME: f64 = 1e-6;
 /// Factor by which a change exceeds the noise if it has an effect.
 const BEYOND_NOISE: f64 = 1.5;
-/// Growth of memory per episode that is ignored, bytes; logs and allocators cause that much.
-const IGNORED_GROWTH_BYTES: u64 = 200 << 10;
-/// Slowdown that indicates growing memory: the median episode of the second third takes longer than
-/// that of the first by this factor, and that of the last third longer than that of the second.
-const MIN_SLOWDOWN: f64 = 1.25;
-/// Smallest slowdown from the first to the last third that indicates growing memory.
-const MIN_TOTAL_SLOWDOWN: Duration = Duration::from_millis(50);
 
 /// Variation of answers with a change of the input, and without. The answers of a server that
 /// samples are means.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Change {
     /// Largest difference that the change causes.
     pub largest: f64,
@@ -52,18 +42,6 @@ impl Change {
                 self.largest, self.noise
             ),
         }
-    }
-}
-
-pub(super) fn actions(faults: &[ActionFault], count: usize) -> Verdict {
-    match faults.first() {
-        None => pass(""),
-        Some(fault) => fail(format!(
-            "{} of {count} answers are not valid actions: {fault}. NaN usually comes from half \
-             precision, or from statistics that lack a dimension: run the policy in float32 and \
-             check the files that it loads.",
-            faults.len()
-        )),
     }
 }
 
@@ -178,104 +156,6 @@ pub(super) fn gripper(actions: &[Action]) -> Verdict {
     ))
 }
 
-/// Checks the latencies. The first query is separate, because it may include a compilation.
-pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
-    let Some((first, later)) = latencies.split_first() else {
-        return skip("no query was sent");
-    };
-    let mut sorted = later.to_vec();
-    sorted.sort_unstable();
-    let (median, p99) = (percentile(&sorted, 50), percentile(&sorted, 99));
-    let slowest = latencies.iter().max().copied().unwrap_or_default();
-    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
-    let figures = format!(
-        "first {:.1} ms, then median {:.1} ms, 99th percentile {:.1} ms of {} queries",
-        ms(*first),
-        ms(median),
-        ms(p99),
-        sorted.len()
-    );
-    let limit = answer_within.as_secs_f64();
-    if slowest > answer_within {
-        let advice = match *first == slowest && p99 <= answer_within {
-            true => "Compile and warm up before the server listens",
-            false => "Serve it from a faster device",
-        };
-        fail(format!(
-            "{figures}. A gateway treats a server that needs more than {limit} s as out of \
-             service. {advice}, or raise answer_within_secs."
-        ))
-    } else if p99 > answer_within / 2 {
-        pass(format!("{figures}; a gateway waits {limit} s"))
-    } else {
-        pass(figures)
-    }
-}
-
-/// Checks that a process does not grow from episode to episode. `resident` holds its memory, in
-/// bytes, after each episode.
-pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
-    let count = resident.len();
-    let third = count / 3;
-    if third == 0 {
-        return skip("too few episodes were played");
-    }
-    // Any program grows during the first third, as it warms up.
-    let [begin, middle, end] = [count - 1 - 2 * third, count - 1 - third, count - 1];
-    let grown = |from: usize, to: usize| resident[to].saturating_sub(resident[from]);
-    let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let allowed = IGNORED_GROWTH_BYTES * third as u64;
-    if grown(begin, middle) > allowed && grown(middle, end) > allowed {
-        return fail(format!(
-            "{process} grew from {:.0} to {:.0} MiB over the last {} of {count} episodes, {:.2} \
-             MiB each, though every episode was ended (End). Usually observations or caches are \
-             kept by session: drop them at End, and bound how many episodes are kept.",
-            mib(resident[begin]),
-            mib(resident[end]),
-            2 * third,
-            mib(grown(begin, end)) / (2 * third) as f64,
-        ));
-    }
-    pass(format!(
-        "{process} holds {:.0} MiB after {count} episodes; a GPU's memory is not measured",
-        mib(resident[end])
-    ))
-}
-
-/// Checks that episodes do not become slower, for servers whose memory cannot be read, such as
-/// those on other machines.
-pub(super) fn slowing(durations: &[Duration]) -> Verdict {
-    let third = durations.len() / 3;
-    if third == 0 {
-        return skip("too few episodes were played");
-    }
-    let median = |index: usize| {
-        let mut sorted = durations[index * third..(index + 1) * third].to_vec();
-        sorted.sort_unstable();
-        sorted[third / 2]
-    };
-    let [first, second, last] = [0, 1, 2].map(median);
-    let is_slower = |earlier: Duration, later: Duration| {
-        later.as_secs_f64() > MIN_SLOWDOWN * earlier.as_secs_f64()
-    };
-    let count = durations.len();
-    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
-    if is_slower(first, second) && is_slower(second, last) && last - first > MIN_TOTAL_SLOWDOWN {
-        return fail(format!(
-            "episodes take longer and longer: medians of {:.0}, {:.0} and {:.0} ms by thirds of \
-             {count}, though every episode was ended (End). Usually the server searches state that \
-             it keeps per session.",
-            ms(first),
-            ms(second),
-            ms(last),
-        ));
-    }
-    pass(format!(
-        "{count} episodes did not slow it down; its memory was not measured, because its process \
-         is not on this machine or not accessible"
-    ))
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -313,41 +193,6 @@ mod tests {
         };
         assert!(fails(&verdict(0.5, 0.0), "frames of the other cameras do"));
         assert!(fails(&verdict(0.06, 0.05), "frames of a and b (means of 8 answers"));
-    }
-
-    #[test]
-    fn steady_growth_is_a_leak_and_growth_at_the_start_is_not() {
-        let mib = |number: f64| (number * f64::from(1 << 20)) as u64;
-        let leaking: Vec<u64> = (0..30).map(|index| mib(100.0 + f64::from(index))).collect();
-        assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));
-        let starting: Vec<u64> =
-            (0..30).map(|index| mib(100.0 + 40.0 * f64::from(index.min(12)))).collect();
-        assert!(passes(&memory("process 7", &starting)));
-        let one_jump: Vec<u64> =
-            (0..30).map(|index| mib(if index < 25 { 100.0 } else { 180.0 })).collect();
-        assert!(passes(&memory("process 7", &one_jump)));
-    }
-
-    #[test]
-    fn steadily_slower_episodes_fail_and_one_slow_episode_does_not() {
-        let durations = |millis: fn(u64) -> u64| {
-            (0..30).map(|index| Duration::from_millis(millis(index))).collect()
-        };
-        let growing: Vec<Duration> = durations(|index| 20 + 10 * index);
-        assert!(fails(&slowing(&growing), "longer and longer"));
-        let jumping: Vec<Duration> = durations(|index| if index == 20 { 900 } else { 20 });
-        assert!(passes(&slowing(&jumping)));
-    }
-
-    #[test]
-    fn a_late_first_answer_gets_other_advice_than_a_slow_server() {
-        let within = Duration::from_secs(50);
-        let mut latencies = vec![Duration::from_millis(20); 40];
-        assert!(passes(&latency(&latencies, within)));
-        latencies[0] = Duration::from_secs(120);
-        assert!(fails(&latency(&latencies, within), "warm up"));
-        latencies = vec![Duration::from_secs(60); 40];
-        assert!(fails(&latency(&latencies, within), "faster device"));
     }
 
     #[test]
