@@ -160,7 +160,6 @@ async fn move_other_campaign(
         let began = Instant::now();
         queue.adopt(&copy, None, None).await?;
         let imported = began.elapsed().as_secs_f64();
-        copy.close().await?;
         queue.delete_campaign(&name).await?;
         let mut step_secs = step_secs.lock().expect("nothing panics");
         step_secs.push([created, copied, deleted, imported]);

@@ -6,14 +6,13 @@
 //! `synchronous=FULL`, so that a committed transaction survives a power cut.
 
 pub(crate) mod artifacts;
-pub(crate) mod attached;
 pub(crate) mod backup;
+pub(crate) mod budgets;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod hidden;
-pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod outcomes;
@@ -22,7 +21,6 @@ pub(crate) mod portable;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
-pub(crate) mod schema;
 pub(crate) mod stops;
 pub(crate) mod workers;
 
@@ -305,11 +303,6 @@ impl Store {
             .await
             .doing("checkpoint the write-ahead log")
             .map(drop)
-    }
-
-    /// Rebuilds the database file without free pages, so that equal rows give equal bytes.
-    pub(crate) async fn compact(&self) -> Result<(), StoreError> {
-        sqlx::query("VACUUM").execute(&self.writer).await.doing("compact the database").map(drop)
     }
 
     /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder. If
