@@ -143,6 +143,6 @@ def test_a_malicious_archive_takes_no_memory_or_disk(archive, tmp_path):
     rewrite(file, bad, sizes={"report.json": -1})
     refused(bad, "it claims")
     # A list is no rollout, and a deep one exceeds Python's stack.
-    for rollouts in (b"{}\n[]\n", b"{}\n{\n", b"{}\n" + b"[" * 100_000, b"{}\n" + b" " * (17 << 20)):
-        rewrite(file, bad, rollouts_jsonl=rollouts)
+    for rollout in (b"[]\n", b"{\n", b"[" * 100_000, b" " * (17 << 20)):
+        rewrite(file, bad, rollouts_jsonl=b"{}\n" + rollout)
         refused(bad, r"rollouts\.jsonl .*archive the campaign again")
