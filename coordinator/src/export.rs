@@ -4,8 +4,8 @@
 use std::sync::Arc;
 
 use ::report::ResultRow;
-use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use benchmark::ManifestRow;
+use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};

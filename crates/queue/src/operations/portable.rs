@@ -8,9 +8,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use benchmark::CampaignSpec;
-use paired::Outcome;
 use benchmark::attempt::AttemptId;
+use benchmark::{CampaignSpec, Rollouts};
+use paired::Outcome;
 use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
@@ -154,14 +154,18 @@ impl Portable {
         spec: &str,
         films: impl IntoIterator<Item = (&str, u64)>,
     ) -> Result<Portable, PortableError> {
+        let film = |(path, bytes): (&str, u64)| {
+            let name = path.rsplit('/').next()?;
+            Some((film_attempt(name)?, (name.to_owned(), bytes)))
+        };
         let films: Films = films.into_iter().filter_map(film).collect();
         let spec = spec.to_owned();
         let mut new = on_blocking_thread(move || NewCampaign::from_json(&spec)).await?;
         let jobs = std::mem::take(&mut new.jobs).into_iter();
         let mut expected: HashMap<(String, u32), String> =
             jobs.map(|job| ((job.rollout_id, job.replicate), job.manifest_row)).collect();
-        let is_design = CampaignSpec::from_json(&new.spec).map_err(ExpandError::from)?;
-        let is_design = matches!(is_design.rollouts, benchmark::Rollouts::Design(_));
+        let read = CampaignSpec::from_json(&new.spec).map_err(ExpandError::from)?;
+        let is_design = matches!(read.rollouts, Rollouts::Design(_));
         let (head, mut lines) = Lines::open(folder)?;
         let store = Store::open(folder).await?;
         let mut tx = store.write(Vec::new()).await?;
@@ -242,12 +246,6 @@ impl Portable {
     }
 }
 
-/// Reads the attempt of a film from its name; `None` if the name has none.
-fn film((name, bytes): (&str, u64)) -> Option<(AttemptId, (String, u64))> {
-    let name = name.rsplit('/').next()?;
-    Some((film_attempt(name)?, (name.to_owned(), bytes)))
-}
-
 /// Returns the attempt that a film's file name ends with.
 pub fn film_attempt(name: &str) -> Option<AttemptId> {
     name.strip_suffix(".mp4")?.rsplit('.').next()?.parse().ok()
@@ -308,12 +306,11 @@ impl Queue {
         let campaign = view.campaign(name).await?;
         let spec = view.spec(&campaign).await.map_err(QueueError::from)?;
         let early = view.early_stop(&campaign).await.map_err(QueueError::from)?;
-        let pin = campaign.pin.clone();
         let head = Head {
             priority: campaign.priority,
             created_ms: campaign.created_ms,
             state: campaign.state,
-            pinned: campaign.pinned_ms.zip(pin),
+            pinned: campaign.pinned_ms.zip(campaign.pin.clone()),
             used: early.and_then(|early| early.used),
         };
         let films = view.write_jobs(&campaign, &head, &into.join(ROLLOUTS_FILE)).await?;
@@ -469,22 +466,13 @@ impl View {
             }
         }
         file.flush()?;
-        let films: Vec<(String, String, i64)> = sqlx::query_as(
-            "SELECT replace(j.rollout_id, '/', '_') || '.r' || j.replicate || '.'
-                 || a.attempt_id || '.mp4', a.path, a.size_bytes
-             FROM result r JOIN artifact a ON a.attempt_id = r.attempt_id
-             JOIN job j ON j.id = r.job_id WHERE r.campaign_id = ? ORDER BY 1",
-        )
-        .bind(campaign.id)
-        .fetch_all(self.tx())
-        .await
-        .doing("list a campaign's videos")?;
-        let name = |name| format!("{ARTIFACTS_FOLDER}/{}/{name}", campaign.name);
+        let name = |file| format!("{ARTIFACTS_FOLDER}/{}/{file}", campaign.name);
         let film = |(file, path, size): (String, String, i64)| FilmFile {
             name: name(file),
             path,
             size_bytes: size.unsigned_abs(),
         };
+        let films = portable::films(self.tx(), campaign.id).await?;
         Ok(films.into_iter().map(film).collect())
     }
 }

@@ -150,6 +150,24 @@ pub(crate) async fn lines(
     .doing("read the jobs of a campaign")
 }
 
+/// Returns the file names of a campaign's films, each ending with its attempt, with their paths below
+/// the data folder and sizes, by name.
+pub(crate) async fn films(
+    tx: &mut SqliteConnection,
+    campaign: CampaignId,
+) -> Result<Vec<(String, String, i64)>, StoreError> {
+    sqlx::query_as(
+        "SELECT replace(j.rollout_id, '/', '_') || '.r' || j.replicate || '.'
+             || a.attempt_id || '.mp4', a.path, a.size_bytes
+         FROM result r JOIN artifact a ON a.attempt_id = r.attempt_id
+         JOIN job j ON j.id = r.job_id WHERE r.campaign_id = ? ORDER BY 1",
+    )
+    .bind(campaign)
+    .fetch_all(tx)
+    .await
+    .doing("list a campaign's videos")
+}
+
 /// Stores a campaign without its jobs, stop and state.
 pub(crate) async fn begin(
     tx: &mut SqliteConnection,

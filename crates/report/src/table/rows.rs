@@ -2,10 +2,10 @@
 
 use std::io::Write;
 
-use paired::adaptive::subsets::{Answer, Explained, MinimalSubset};
-use benchmark::{Axis, Condition, Execution, JsonError, Level, ManifestRow};
-use paired::{Matched, Outcome, Progress};
 use benchmark::attempt::RolloutResult;
+use benchmark::{Axis, Condition, Execution, JsonError, Level, ManifestRow};
+use paired::adaptive::subsets::{Answer, Explained, MinimalSubset};
+use paired::{Matched, Outcome, Progress};
 use serde::{Deserialize, Serialize};
 
 use super::Kind::{Bool, Integer, Number, Real, Text};
