@@ -1,6 +1,6 @@
 //! Archive of a campaign in one file, for storage or for import by another coordinator: a gzipped
-//! tar of a data folder with this campaign alone, preceded by a table of contents, the
-//! specification, the provenance and the report.
+//! tar of a table of contents, the specification, the provenance, the report, the rollouts with
+//! their results, and the films.
 //!
 //! | member | content |
 //! | --- | --- |
@@ -8,7 +8,7 @@
 //! | `specification.json` | the campaign's specification |
 //! | `provenance.json` | provenance of the results, and the policy seeds |
 //! | `report.json` | the campaign's report, as printed by `coordinator report --json` |
-//! | `coordinator.sqlite` | the campaign's rows, in a database of the coordinator's schema |
+//! | `rollouts.jsonl` | the campaign's state, then a line per rollout with its attempts and result |
 //! | `artifacts/NAME/…` | the campaign's films |
 
 mod derived;
@@ -29,7 +29,7 @@ pub use pack::{Package, package};
 pub use unpack::{Unpacked, unpack};
 
 /// Version of the archive format; archives of another format are refused.
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
 /// Member that holds the table of contents.
 const CONTENTS_FILE: &str = "archive.json";
 /// Prefix of temporary folders for campaigns being exported or imported.
@@ -41,8 +41,6 @@ pub struct Contents {
     pub format: u32,
     /// Name and version of the program that wrote the archive.
     pub program: String,
-    /// Version of the database's schema.
-    pub schema: i64,
     pub campaign: String,
     /// SHA-256 of the specification, hex.
     pub spec_digest: String,
@@ -73,16 +71,9 @@ pub enum ArchiveError {
     )]
     Foreign { archive: String, problem: String },
     #[error(
-        "read archive {archive}: it has {what} {found}, written by {program}, and this program reads {what} {known} only; use the program that wrote it"
+        "read archive {archive}: it has format {found}, written by {program}, and this program reads format {FORMAT} only; use the program that wrote it"
     )]
-    OtherVersion {
-        archive: String,
-        program: String,
-        /// Kind of version: `format` or `schema version`.
-        what: &'static str,
-        found: i64,
-        known: i64,
-    },
+    OtherVersion { archive: String, program: String, found: u32 },
     #[error("read archive {archive}: it is cut off or damaged in {member}; copy it again")]
     Damaged { archive: String, member: String },
     #[error(

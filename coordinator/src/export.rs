@@ -3,50 +3,17 @@
 
 use std::sync::Arc;
 
-use benchmark::{Condition, Execution, Level, ManifestRow, RolloutId, Suite};
+use ::report::ResultRow;
+use benchmark::ManifestRow;
 use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};
-use serde::Serialize;
 
 use crate::reading::ReadError;
 
 /// Rows per database query.
 const PAGE_ROWS: u32 = 1_000;
-
-/// Exported row: the reference's columns in its order, then the replicate and optional columns: the
-/// radius of a placebo, the execution model unless it is `wait`, the protocol
-/// of LIBERO's family or of a suite file, the goal's progress if the worker reported it, and the
-/// prompt of a rollout with a protocol.
-#[derive(Serialize)]
-struct ExportRow<'a> {
-    rollout_id: RolloutId,
-    success: bool,
-    steps: u32,
-    axis: Condition,
-    level: Level,
-    suite: Suite,
-    task_id: u8,
-    init_id: u16,
-    config: Option<u16>,
-    policy: &'a str,
-    wall_s: f64,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    ik_res_mm: Option<f64>,
-    replicate: u32,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    placebo_radius: Option<f64>,
-    #[serde(skip_serializing_if = "Execution::is_wait")]
-    execution: Execution,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    protocol: Option<String>,
-    goal_predicates: u32,
-    goal_at_end: u32,
-    goal_at_most: u32,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    prompt: Option<&'a str>,
-}
 
 /// Returns the exported lines of a campaign as a stream that reads page by page on demand.
 pub async fn lines(
@@ -76,34 +43,9 @@ pub async fn lines(
 }
 
 fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
-    let row_error = |error: serde_json::Error| ReadError::Row {
-        rollout_id: result.rollout_id.clone(),
-        source: error.into(),
-    };
-    let row: ManifestRow = serde_json::from_str(&result.manifest_row).map_err(row_error)?;
-    let (task, outcome) = (row.id.task(), &result.outcome);
-    serde_json::to_string(&ExportRow {
-        rollout_id: row.id,
-        success: outcome.success,
-        steps: outcome.steps,
-        axis: row.id.condition(),
-        level: row.id.level(),
-        suite: task.suite(),
-        task_id: task.index(),
-        init_id: row.init_id,
-        config: row.id.config(),
-        policy,
-        wall_s: outcome.wall_secs,
-        ik_res_mm: outcome.ik.map(|ik| ik.residual_mm),
-        replicate: result.replicate,
-        placebo_radius: row.placebo_radius.map(Level::radius),
-        execution: row.execution,
-        // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
-        prompt: outcome.prompt.as_deref().filter(|_| row.protocol.is_some()),
-        protocol: row.protocol,
-        goal_predicates: outcome.goal.predicates,
-        goal_at_end: outcome.goal.at_end,
-        goal_at_most: outcome.goal.at_most,
-    })
-    .map_err(row_error)
+    let ExportedRow { rollout_id, replicate, manifest_row, outcome } = result;
+    let error = |source| ReadError::Row { rollout_id: rollout_id.clone(), source };
+    let row: ManifestRow =
+        serde_json::from_str(manifest_row).map_err(|problem| error(problem.into()))?;
+    ResultRow::new(row, *replicate, policy, outcome).to_json().map_err(error)
 }

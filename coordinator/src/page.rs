@@ -2,8 +2,9 @@
 //! owns routes and rendering. Access control is in `transport`, the data in `queue` and `report`;
 //! campaigns are changed through gRPC only.
 //!
-//! A page is rendered at most once a second, however many browsers request it, and a campaign's
-//! statistics are computed only after its results changed.
+//! A page is rendered at most once a second, however many browsers request it. A campaign's
+//! statistics are computed only after its results changed, and no page waits for them longer than
+//! half a second.
 
 mod answer;
 mod bar;

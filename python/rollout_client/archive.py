@@ -1,7 +1,7 @@
 """The results in an archive of a campaign (`coordinator campaign archive`), without a coordinator.
 
-The archive may come from an untrusted source. Only its database is unpacked, after its list of
-members has stated the size and if the disk has room for it, and only tables of it are read."""
+The archive may come from an untrusted source. Only its rollouts are unpacked, after its list of
+members has stated the size and if the disk has room for them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import hashlib
 import json
 import os
 import shutil
-import sqlite3
 import tarfile
 import tempfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pandas as pd
@@ -24,30 +23,20 @@ import pandas as pd
 from . import frames
 from .errors import CoordinatorError
 
-#: The format and schema that can be read.
-FORMAT, SCHEMA = 1, 1
+#: The format that can be read.
+FORMAT = 2
 #: Largest number of bytes per read of a file.
 READ_BYTES = 1 << 20
-LIST, DATABASE = "archive.json", "coordinator.sqlite"
+#: Longest line of a rollout, bytes.
+MAX_LINE = 16 << 20
+LIST, ROLLOUTS = "archive.json", "rollouts.jsonl"
 #: Members that follow LIST in every archive, in this order; all later members are films.
-MEMBERS = ("specification.json", "provenance.json", "report.json", DATABASE)
+MEMBERS = ("specification.json", "provenance.json", "report.json", ROLLOUTS)
 #: Largest list of members, bytes: room for three hundred thousand films.
 MAX_LIST = 64 << 20
 #: Largest ratio of these members' total size to the archive's size, unless the total is below SMALL
 #: bytes.
 MAX_RATIO, SMALL = 100, 64 << 20
-#: Tables and columns that are read.
-TABLES = {
-    "result": {"job_id", "outcome", "committed_ms"},
-    "job": {"id", "rollout_id", "replicate", "task", "manifest_row"},
-    "motion": {"job_id", "path", "actions"},
-}
-RESULTS = """
-    SELECT j.rollout_id, j.replicate, j.task, j.manifest_row, r.outcome, r.committed_ms, m.path,
-        m.actions
-    FROM result r JOIN job j ON j.id = r.job_id LEFT JOIN motion m ON m.job_id = j.id
-    ORDER BY j.rollout_id, j.replicate
-"""
 
 
 class ArchiveError(CoordinatorError, ValueError):
@@ -64,41 +53,47 @@ def results(file: str | os.PathLike[str]) -> pd.DataFrame:
     commands before the actuation axis distorts them, [steps, 7], clipped to [-1, 1] in matched
     campaigns; empty unless the campaign records transitions. Both are float32."""
     with tempfile.TemporaryDirectory(prefix="rollout-") as folder:
-        path = Path(folder) / DATABASE
+        path = Path(folder) / ROLLOUTS
         _unpack(Path(file), path)
-        database = sqlite3.connect(f"{path.as_uri()}?mode=ro&immutable=1", uri=True)
         try:
-            _check_columns(database)
-            database.set_authorizer(_tables_only)
-            return frames.frame(map(_row, database.execute(RESULTS)), frames.ARCHIVED)
-        except (sqlite3.Error, ValueError, TypeError, KeyError, RecursionError) as error:
-            raise _bad(Path(file), DATABASE, str(error)) from error
-        finally:
-            database.close()
+            with path.open("rb") as lines:
+                rows = [_row(line) for line in _lines(lines) if line["result"]]
+            rows.sort(key=lambda row: (row["rollout_id"], row["replicate"]))
+            return frames.frame(rows, frames.ARCHIVED)
+        except (ValueError, TypeError, KeyError, RecursionError) as error:
+            raise _bad(Path(file), ROLLOUTS, str(error)) from error
 
 
-def _row(row: tuple[Any, ...]) -> dict[str, Any]:
-    rollout_id, replicate, task, manifest_row, outcome, committed_ms, path, actions = row
-    manifest, result = json.loads(manifest_row), json.loads(outcome)
-    tenths = np.frombuffer(path or b"", dtype="<i2").reshape(-1, 3)
+def _lines(file: BinaryIO) -> Iterator[dict[str, Any]]:
+    """Yields the rollouts: all lines but the first, which has the campaign's state."""
+    file.readline(MAX_LINE)
+    while line := file.readline(MAX_LINE):
+        yield json.loads(line)
+
+
+def _row(line: dict[str, Any]) -> dict[str, Any]:
+    manifest, committed = line["row"], line["result"]
+    result = committed["measurement"]["result"]
+    tenths = np.frombuffer(bytes.fromhex(committed["path"]), dtype="<i2").reshape(-1, 3)
+    actions = np.frombuffer(bytes.fromhex(committed["actions"]), dtype="<f4").reshape(-1, 7)
     return {
-        "rollout_id": rollout_id,
-        "replicate": replicate,
-        "task": task,
+        "rollout_id": manifest["rollout_id"],
+        "replicate": line["replicate"],
+        "task": f"{manifest['suite']}/{manifest['task_id']}",
         "instruction": manifest["language"],
         "axis": manifest["axis"],
         "level": manifest["level"],
         "success": result["success"],
         "steps": result["steps"],
         "wall_secs": result["wall_secs"],
-        "committed_at": frames.instant(committed_ms),
+        "committed_at": frames.instant(committed["committed_ms"]),
         "path": (tenths * np.float32(1e-4)).astype(np.float32),
-        "actions": np.frombuffer(actions or b"", dtype="<f4").reshape(-1, 7).astype(np.float32),
+        "actions": actions.astype(np.float32),
     }
 
 
 def _unpack(file: Path, target: Path) -> None:
-    """Writes an archive's database to `target`; verifies the members up to it."""
+    """Writes an archive's rollouts to `target`; verifies the members up to them."""
     name = LIST
     try:
         with gzip.open(file, "rb") as stream:
@@ -132,12 +127,12 @@ def _unpack(file: Path, target: Path) -> None:
 
 
 def _checked_members(file: Path, contents: Any, folder: Path) -> list[dict[str, Any]]:
-    """Returns the members up to the database. Each is written over the previous one."""
-    if (contents["format"], contents["schema"]) != (FORMAT, SCHEMA):
+    """Returns the members up to the rollouts. Each is written over the previous one."""
+    if contents["format"] != FORMAT:
         raise ArchiveError(
             f"failed to read archive {file}: {contents.get('program')} wrote it, with format"
-            f" {contents['format']} and schema {contents['schema']}, and this package reads"
-            f" {FORMAT} and {SCHEMA}; install the release that wrote it"
+            f" {contents['format']}, and this package reads {FORMAT}; install the release that"
+            " wrote it"
         )
     members: list[dict[str, Any]] = contents["members"][: len(MEMBERS)]
     if tuple(member["name"] for member in members) != MEMBERS:
@@ -184,27 +179,3 @@ def _exactly(stream: gzip.GzipFile, size: int) -> bytes:
     if len(read) < size:
         raise EOFError
     return read
-
-
-def _check_columns(database: sqlite3.Connection) -> None:
-    """Raises ValueError unless every column that is read is stored in a table: SQLite would
-    evaluate a generated column, which the archive's author wrote, and asks the authorizer for its
-    inputs only. `trusted_schema` cannot be off, because older SQLite then refuses the functions of
-    JSON that generate other columns."""
-    for table, columns in TABLES.items():
-        kinds = database.execute(f"PRAGMA table_xinfo({table})").fetchall()
-        stored = {name for _, name, _, _, _, _, hidden in kinds if not hidden}
-        if not columns <= stored:
-            raise ValueError(f"table {table} does not store {', '.join(sorted(columns - stored))}")
-
-
-def _tables_only(
-    action: int, table: str | None, column: str | None, _database: str | None, view: str | None
-) -> int:
-    """Permits SQLite to read the columns in TABLES only. If a table were replaced by a view, SQLite
-    would evaluate expressions that the archive's author wrote."""
-    is_table_read = (
-        action == sqlite3.SQLITE_READ and column in TABLES.get(table or "", ()) and view is None
-    )
-    is_allowed = action == sqlite3.SQLITE_SELECT or is_table_read
-    return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY

@@ -4,7 +4,6 @@
 use std::collections::BTreeMap;
 
 use ::report::Document;
-use benchmark::PUBLISHED;
 use benchmark::attempt::Provenance;
 use queue::Portable;
 use serde::Serialize;
@@ -54,18 +53,9 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
 
 /// Returns the path of the first difference between an archived JSON text and a newly computed one;
 /// `None` if the two agree. Keys that only the new text has are ignored, since a later release may
-/// add keys, and names of conditions may be the reference's, as an earlier release wrote them.
+/// add keys.
 pub(super) fn difference(archived: &str, fresh: &str) -> Option<String> {
-    let read = |text: &str| {
-        let text = text.replace("\"clean_relative_loss\"", "\"nominal_relative_loss\"");
-        let renamed = PUBLISHED.into_iter().fold(text, |text, (condition, published)| {
-            ['/', '"'].into_iter().fold(text, |text, mark| {
-                let quoted = |name| format!("{mark}{name}{mark}");
-                text.replace(&quoted(published), &quoted(condition.name()))
-            })
-        });
-        serde_json::from_str::<Value>(&renamed)
-    };
+    let read = serde_json::from_str::<Value>;
     match (read(archived), read(fresh)) {
         (Ok(archived), Ok(fresh)) => first_difference(&archived, &fresh, ""),
         _ => Some("its beginning, which is not JSON".to_owned()),

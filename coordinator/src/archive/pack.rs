@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use flate2::Compression;
 use flate2::write::GzEncoder;
-use queue::{DATABASE_FILE, Portable, SourceOutcomes, newest_known_schema};
+use queue::{FilmFile, Portable, ROLLOUTS_FILE, SourceOutcomes};
 use sha2::{Digest, Sha256};
 use tar::{Builder, EntryType, Header};
 
@@ -21,42 +21,32 @@ pub struct Package {
     files: Vec<PathBuf>,
 }
 
-/// Prepares a campaign's archive: derives members from its rows, closes its database and lists all
-/// files. `film_path` maps a film's name to its path; films whose files are missing are left out.
+/// Prepares a campaign's archive: derives members from its rows and lists all files. Films are given
+/// with the paths of their files; those whose files are missing are left out.
 pub async fn package(
     campaign: Portable,
-    film_path: impl Fn(&str) -> PathBuf,
+    films: Vec<(FilmFile, PathBuf)>,
     source: Option<SourceOutcomes>,
 ) -> Result<Package, ArchiveError> {
-    let mut members: Vec<(String, PathBuf)> = Vec::new();
-    let mut missing = Vec::new();
-    for film in campaign.films().await? {
-        let name = film.path.rsplit('/').next().unwrap_or_default();
-        let path = film_path(name);
-        match path.is_file() {
-            true => members.push((film.path, path)),
-            false => missing.push(film.path),
-        }
-    }
+    let films = films.into_iter().map(|(film, path)| (film.name, path));
+    let (members, missing): (Vec<(String, PathBuf)>, Vec<_>) =
+        films.partition(|(_, path)| path.is_file());
     if !missing.is_empty() {
-        let campaign_name = &campaign.campaign.name;
-        tracing::warn!(campaign = %campaign_name,
+        let missing: Vec<String> = missing.into_iter().map(|(name, _)| name).collect();
+        tracing::warn!(campaign = %campaign.campaign.name,
             "films left out of the archive because their files are missing: {}",
             missing.join(", "));
-        campaign.remove_missing_films(&missing).await?;
     }
     let derived_members = derived::derive(&campaign).await?;
     let mut contents = Contents {
         format: FORMAT,
         program: format!("coordinator {}", version::version!()),
-        schema: newest_known_schema(),
         campaign: campaign.campaign.name.to_string(),
         spec_digest: campaign.campaign.spec_digest.clone(),
         source,
         members: Vec::new(),
     };
     let folder = campaign.folder().to_owned();
-    campaign.close().await?;
     let name = contents.campaign.clone();
     let listed =
         tokio::task::spawn_blocking(move || list_members(&folder, derived_members, members)).await;
@@ -66,7 +56,7 @@ pub async fn package(
     Ok(Package { contents, files })
 }
 
-/// Writes the derived members beside the database. Returns all members with their paths, sizes and
+/// Writes the derived members beside the rollouts. Returns all members with their paths, sizes and
 /// digests.
 fn list_members(
     folder: &Path,
@@ -80,7 +70,7 @@ fn list_members(
             .map_err(|source| ArchiveError::Write { path: path.clone(), source })?;
         files.push((name.to_owned(), path));
     }
-    files.push((DATABASE_FILE.to_owned(), folder.join(DATABASE_FILE)));
+    files.push((ROLLOUTS_FILE.to_owned(), folder.join(ROLLOUTS_FILE)));
     files.extend(films);
     let member = |(name, path): (String, PathBuf)| {
         let file = File::open(&path).map_err(CopyError::Read);
@@ -218,7 +208,6 @@ mod tests {
         let contents = Contents {
             format: FORMAT,
             program: String::new(),
-            schema: 1,
             campaign: "first".to_owned(),
             spec_digest: String::new(),
             source: None,

@@ -9,7 +9,7 @@ use std::path::Path;
 
 use flate2::bufread::GzDecoder;
 use queue::ids::CampaignName;
-use queue::{ARTIFACTS_FOLDER, DATABASE_FILE, Portable, newest_known_schema};
+use queue::{ARTIFACTS_FOLDER, Portable, PortableError, ROLLOUTS_FILE, film_attempt};
 use serde::Deserialize;
 use tar::{Archive, Entries, Entry, EntryType};
 
@@ -20,25 +20,24 @@ use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 
 /// Largest table of contents, bytes: enough for three hundred thousand films.
 const MAX_CONTENTS_BYTES: u64 = 64 << 20;
-/// Highest compression ratio, against decompression bombs. Films do not compress, and a database of
-/// repetitive rows compresses to a twentieth.
+/// Highest compression ratio, against decompression bombs. Films do not compress, and repetitive
+/// rows compress to a twentieth.
 const MAX_RATIO: u64 = 100;
 /// Total size of the members up to which any compression ratio is accepted, bytes.
 const SMALL_BYTES: u64 = 64 << 20;
 /// Largest padding after the last member, bytes. Tar programs pad archives to a few kilobytes.
 const MAX_PADDING_BYTES: u64 = 1 << 20;
-const FILM_SUFFIX: &str = ".mp4";
 
 /// Problem reported for a file that is not an archive at all.
 const NO_TAR: &str = "it is not a compressed tar archive";
 
 /// First members after the table of contents, in order; every archive has them.
-const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
+const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, ROLLOUTS_FILE];
 
 /// Verified campaign from an archive.
 #[derive(Debug)]
 pub struct Unpacked {
-    /// Rows and films of the campaign, in a data folder of their own.
+    /// Rows and films of the campaign, in a folder of their own.
     pub campaign: Portable,
     /// Table of contents of the archive.
     pub contents: Contents,
@@ -48,8 +47,8 @@ type Compressed = GzDecoder<BufReader<File>>;
 type Members<'a> = Entries<'a, Compressed>;
 
 /// Unpacks an archive into an empty folder and verifies size and SHA-256 of every member, the
-/// versions of format and schema, the specification's digest, all database invariants, and that
-/// report and provenance follow from the rows. `name` is the file's name in messages. After an
+/// version of the format, the specification's digest, all rows and invariants, and that report and
+/// provenance follow from the rows. `name` is the file's name in messages. After an
 /// error, the members unpacked so far remain in `into`.
 pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
@@ -57,33 +56,34 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let read = tokio::task::spawn_blocking(read).await;
     let contents = read.map_err(|_| ArchiveError::Panicked { archive: name.to_owned() })??;
     let archive = || name.to_owned();
-    let campaign = Portable::open(into).await.map_err(|source| ArchiveError::Content {
-        archive: archive(),
-        member: DATABASE_FILE,
-        source: Box::new(source),
-    })?;
+    let films = contents.members[MEMBERS.len()..].iter();
+    let films = films.map(|film| (film.name.as_str(), film.bytes));
     let altered = |member: &str, problem: &str| ArchiveError::Altered {
         archive: archive(),
         member: member.to_owned(),
         problem: problem.to_owned(),
     };
+    let text = |member| {
+        let text = std::fs::read_to_string(into.join(member));
+        text.map_err(|_| altered(member, "it is not UTF-8 text"))
+    };
+    let campaign = Portable::open(into, &text(SPECIFICATION)?, films).await;
+    let campaign = campaign.map_err(|source| ArchiveError::Content {
+        archive: archive(),
+        member: match source {
+            PortableError::Specification(_) => SPECIFICATION,
+            _ => ROLLOUTS_FILE,
+        },
+        source: Box::new(source),
+    })?;
     let unpacked = &campaign.campaign;
     if (unpacked.name.as_str(), &unpacked.spec_digest)
         != (&contents.campaign, &contents.spec_digest)
     {
-        return Err(altered(DATABASE_FILE, "it holds another campaign"));
-    }
-    let films = campaign.films().await?.into_iter();
-    let films: Vec<(String, u64)> = films.map(|film| (film.path, film.size_bytes)).collect();
-    let listed = contents.members[MEMBERS.len()..].iter();
-    let listed: Vec<(String, u64)> = listed.map(|film| (film.name.clone(), film.bytes)).collect();
-    if films != listed {
-        return Err(altered(DATABASE_FILE, "its films differ from those in archive.json"));
+        return Err(altered(SPECIFICATION, "it is of another campaign"));
     }
     for (member, fresh) in derived::derive(&campaign).await? {
-        let path = into.join(member);
-        let archived = std::fs::read_to_string(&path);
-        let archived = archived.map_err(|_| altered(member, "it is not UTF-8 text"))?;
+        let archived = text(member)?;
         if let Some(place) = derived::difference(&archived, &fresh) {
             return Err(ArchiveError::Differs {
                 archive: archive(),
@@ -142,7 +142,6 @@ impl ArchiveReader<'_> {
         struct Versions {
             format: u32,
             program: String,
-            schema: i64,
         }
         let first = entries.next().ok_or_else(|| self.not_an_archive("it holds nothing"))?;
         let mut first = first.map_err(|error| match error.kind() {
@@ -165,20 +164,12 @@ impl ArchiveReader<'_> {
             self.not_an_archive(format!("{CONTENTS_FILE}: {problem}"))
         };
         let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;
-        let known = newest_known_schema();
-        for (what, found, known) in [
-            ("format", versions.format.into(), FORMAT.into()),
-            ("schema version", versions.schema, known),
-        ] {
-            if found != known {
-                return Err(ArchiveError::OtherVersion {
-                    archive: self.archive.to_owned(),
-                    program: versions.program,
-                    what,
-                    found,
-                    known,
-                });
-            }
+        if versions.format != FORMAT {
+            return Err(ArchiveError::OtherVersion {
+                archive: self.archive.to_owned(),
+                program: versions.program,
+                found: versions.format,
+            });
         }
         let contents: Contents = serde_json::from_slice(&text).map_err(unreadable)?;
         self.check_names(&contents)?;
@@ -226,9 +217,11 @@ impl ArchiveReader<'_> {
         }
         std::fs::create_dir_all(into)
             .map_err(|source| ArchiveError::Write { path: into.to_owned(), source })?;
-        // The database counts twice, since its rows are copied into the coordinator's database.
-        let databases = contents.members.iter().filter(|member| member.name == DATABASE_FILE);
-        let copied = databases.fold(0, |sum: u64, member| sum.saturating_add(member.bytes));
+        // The rows count three times: they are stored in a database of their own, then in the
+        // coordinator's.
+        let rows = contents.members.iter().filter(|member| member.name == ROLLOUTS_FILE);
+        let copied =
+            rows.fold(0, |sum: u64, rows| sum.saturating_add(rows.bytes.saturating_mul(2)));
         let needed = total.saturating_add(copied).saturating_add(DEFAULT_MIN_FREE_MIB << 20);
         let room = Room::measure(into, needed);
         match room.free_bytes < needed {
@@ -346,7 +339,7 @@ fn write(path: &Path, from: impl Read) -> Result<(u64, String), CopyError> {
 /// form a path.
 fn is_film(file: &str) -> bool {
     let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-:".contains(&byte);
-    file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)
+    film_attempt(file).is_some() && !file.starts_with('.') && file.bytes().all(is_plain)
 }
 
 fn shorten(name: &str) -> &str {

@@ -8,7 +8,7 @@ use std::time::Duration;
 use proto::coordinator as wire;
 use queue::ids::{CampaignName, shortened};
 use queue::read::Counts;
-use queue::{AdoptError, CopyError, MOVING_PREFIX, Portable, PortableError, Queue};
+use queue::{AdoptError, CopyError, FilmFile, MOVING_PREFIX, PortableError, Queue};
 use tempfile::TempDir;
 use tokio::io::AsyncWriteExt;
 use tokio::sync::mpsc;
@@ -41,40 +41,27 @@ pub(super) async fn archive(
     let folder = moving_folder(data)?;
     let (copy, films) = queue.copy_campaign(name, folder.path()).await.map_err(copy_failed)?;
     let source = queue.source_outcomes(&copy.spec).await.map_err(failed)?;
-    let fetched = folder.path().join("films");
-    if let Some(storage) = storage {
-        fetch_films(storage, &copy, (data, films.as_str()), &fetched).await?;
+    let mut files = Vec::new();
+    for film in films {
+        let mut path = data.join(&film.path);
+        if let (Some(storage), false) = (storage, path.is_file()) {
+            path = folder.path().join(&film.name);
+            fetch_film(storage, &film, &path).await?;
+        }
+        files.push((film, path));
     }
-    let local_films = data.join(films);
-    let film_path = |name: &str| match fetched.join(name) {
-        path if path.exists() => path,
-        _ => local_films.join(name),
-    };
-    let package = package(copy, film_path, source).await;
+    let package = package(copy, files, source).await;
     let package = package.map_err(archive_failed)?;
     Ok(chunks(package, folder, name))
 }
 
-/// Downloads the films of a campaign that were moved from the data folder to the storage. `folder`
-/// is the campaign's folder of films, relative to the data folder.
-async fn fetch_films(
-    storage: &Storage,
-    campaign: &Portable,
-    (data, folder): (&Path, &str),
-    into: &Path,
-) -> Result<(), Status> {
-    let films = campaign.films().await.map_err(failed)?;
-    std::fs::create_dir_all(into).map_err(|error| folder_failed(into, &error))?;
-    for film in films {
-        let name = film.path.rsplit('/').next().unwrap_or_default();
-        let key = format!("{folder}/{name}");
-        if !data.join(&key).is_file() {
-            let fetched = storage.fetch(&key, Some(film.size_bytes), &into.join(name)).await;
-            // A film missing from the storage is left out; any other error fails the export.
-            fetched.map_err(|error| unavailable(&error))?;
-        }
-    }
-    Ok(())
+/// Downloads a film that was moved from the data folder to the storage. One that is missing there,
+/// too, is left out of the archive; any other error fails the export.
+async fn fetch_film(storage: &Storage, film: &FilmFile, into: &Path) -> Result<(), Status> {
+    let folder = into.parent().unwrap_or(into);
+    std::fs::create_dir_all(folder).map_err(|error| folder_failed(folder, &error))?;
+    let fetched = storage.fetch(&film.path, Some(film.size_bytes), into).await;
+    fetched.map(drop).map_err(|error| unavailable(&error))
 }
 
 /// Streams an archive, which a blocking thread writes as fast as the client reads.
@@ -155,7 +142,7 @@ pub(super) async fn import(
     let unpack_folder = folder.path().join("unpacked");
     let unpacked = unpack(&file, archive, &unpack_folder).await;
     let unpacked = unpacked.map_err(archive_failed)?;
-    let films = unpacked.campaign.films().await.map_err(failed)?.len() as u64;
+    let films = unpacked.campaign.films();
     let queue = queue.clone();
     let adopted = async move {
         // Keeps the temporary folder until the films have been moved out of it.
@@ -230,7 +217,7 @@ fn adopt_failed(error: AdoptError) -> Status {
         | AdoptError::NoSource { .. }
         | AdoptError::OtherSource { .. }
         | AdoptError::OtherBudgets { .. } => Code::FailedPrecondition,
-        AdoptError::Film { .. } => return unavailable(&error),
+        AdoptError::Film { .. } | AdoptError::Portable(_) => return unavailable(&error),
     };
     Status::new(code, chain(&error))
 }

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use ::report::Document;
 use benchmark::{Condition, Level, RolloutId};
 use maud::{Markup, html};
 use paired::{Outcome, Record};
@@ -18,6 +19,30 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let document = page.document(&campaign, &mut view).await?;
     let status = view.status(campaign).await?;
     let name = status.name.as_str();
+    let main = html! {
+        p.crumbs { a href="/" { "Campaigns" } }
+        h1 { (name) }
+        (progress(&status))
+        @match &document {
+            Some(document) => (statistics(document, name)),
+            None => (being_computed()),
+        }
+    };
+    Ok(Sheet::new(Tab::Campaigns, name, main))
+}
+
+/// Renders a note in place of statistics that are not computed yet.
+pub(super) fn being_computed() -> Markup {
+    html! {
+        p.muted role="status" {
+            "The figures are being computed from all results; this page shows them once they are \
+            done."
+        }
+    }
+}
+
+/// Renders the progress by condition, and the report.
+fn statistics(document: &Document, name: &str) -> Markup {
     let records = document.analyses.iter().flat_map(|analysis| &analysis.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
     let explained = document.analyses.iter().find_map(|analysis| analysis.findings.as_ref());
@@ -29,16 +54,12 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         Some(_) => Markup::default(),
         None => by_condition(records, name),
     };
-    let main = html! {
-        p.crumbs { a href="/" { "Campaigns" } }
-        h1 { (name) }
-        (progress(&status))
-        (::report::page_warnings(&document))
+    html! {
+        (::report::page_warnings(document))
         @if is_paired { (progress_by_condition) }
-        (::report::sections(&document, Some(&link)))
+        (::report::sections(document, Some(&link)))
         @if !is_paired { (progress_by_condition) }
-    };
-    Ok(Sheet::new(Tab::Campaigns, name, main))
+    }
 }
 
 /// Returns the address of the page of a rollout's configuration.

@@ -4,6 +4,7 @@ use maud::{Markup, html};
 use queue::ids::{CampaignName, shortened};
 use queue::read::{Campaign, View};
 
+use super::campaign::being_computed;
 use super::layout::{Sheet, Tab};
 use super::problem::Problem;
 use super::state::Page;
@@ -38,9 +39,10 @@ pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
             a href={ "/campaigns/" (b.name) } { (b.name) } "."
         }
         (form)
-        @match comparison.as_ref() {
-            Ok(comparison) => (::report::page_comparison(comparison)),
-            Err(refused) => {
+        @match comparison.as_deref() {
+            None => (being_computed()),
+            Some(Ok(comparison)) => (::report::page_comparison(comparison)),
+            Some(Err(refused)) => {
                 h2 { "These campaigns cannot be compared" }
                 ul { @for reason in &refused.reasons { li { (reason) } } }
             }

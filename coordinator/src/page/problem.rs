@@ -11,7 +11,7 @@ use transport::chain;
 use super::{answer, layout};
 use crate::reading::ReadError;
 
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) enum Problem {
     /// No page has this address.
     Page,

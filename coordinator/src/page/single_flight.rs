@@ -1,9 +1,7 @@
-//! Single-flight cache: of several concurrent requests for a key, one computes the value and the
-//! others wait for it. The caller decides whether a cached value is fresh enough.
-//!
-//! A computation of `compute` continues after its callers were cancelled, since a thread cannot be
-//! stopped. Its key stays locked until the computation ends, so that reloading a page waits for it
-//! and starts no second computation.
+//! Single-flight cache: of several concurrent requests for a key, one computes the value. The caller
+//! decides whether a cached value is fresh enough, and whether it waits for the computation to end
+//! ([`get`](SingleFlightCache::get)) or takes the newest value meanwhile
+//! ([`newest`](SingleFlightCache::newest)).
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -11,22 +9,27 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::Semaphore;
-use tokio::task::JoinError;
 use tokio::time::Instant;
 
-/// Most concurrent computations of `compute`, with the reads that prepare them, over all keys.
+/// Most concurrent computations of `newest`, with the reads that prepare them, over all keys.
 const COMPUTATIONS: usize = 2;
+/// Longest wait of `newest` for a computation.
+const PATIENCE: Duration = Duration::from_millis(500);
 
 /// Cache of the newest value of each key, for at most `capacity` keys besides those in use.
 #[derive(Debug)]
 pub(super) struct SingleFlightCache<V> {
-    entries: Mutex<HashMap<String, Entry<V>>>,
+    entries: Mutex<HashMap<String, Arc<Entry<V>>>>,
     capacity: usize,
-    computing: Arc<Semaphore>,
+    computations: Arc<Semaphore>,
 }
 
-/// Entry of a key; its lock is held while the value is being computed.
-type Entry<V> = Arc<tokio::sync::Mutex<Option<CachedValue<V>>>>;
+#[derive(Debug)]
+struct Entry<V> {
+    /// Locked while a value is being computed.
+    computing: Arc<tokio::sync::Mutex<()>>,
+    newest: Mutex<Option<CachedValue<V>>>,
+}
 
 /// Cached value with the start and duration of its computation.
 #[derive(Clone, Debug)]
@@ -36,13 +39,24 @@ pub(super) struct CachedValue<V> {
     pub(super) cost: Duration,
 }
 
+impl<V: Clone> Entry<V> {
+    fn newest(&self) -> Option<CachedValue<V>> {
+        self.newest.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn store(&self, value: V, started: Instant) {
+        let newest = CachedValue { value, started, cost: started.elapsed() };
+        *self.newest.lock().unwrap_or_else(PoisonError::into_inner) = Some(newest);
+    }
+}
+
 impl<V: Clone + Send + 'static> SingleFlightCache<V> {
     /// Creates an empty cache for at most `capacity` keys besides those in use.
     pub(super) fn new(capacity: usize) -> SingleFlightCache<V> {
         SingleFlightCache {
             entries: Mutex::default(),
             capacity,
-            computing: Arc::new(Semaphore::new(COMPUTATIONS)),
+            computations: Arc::new(Semaphore::new(COMPUTATIONS)),
         }
     }
 
@@ -55,49 +69,44 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         make: impl Future<Output = Result<V, E>>,
     ) -> Result<V, E> {
         let entry = self.entry(key);
-        let mut cached = entry.lock().await;
-        if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
-            return Ok(cached.value.clone());
+        let _computing = entry.computing.lock().await;
+        if let Some(cached) = entry.newest().filter(is_fresh) {
+            return Ok(cached.value);
         }
         let started = Instant::now();
         let value = make.await?;
-        let cost = started.elapsed();
-        *cached = Some(CachedValue { value: value.clone(), started, cost });
+        entry.store(value.clone(), started);
         Ok(value)
     }
 
-    /// Returns the cached value of a key if it is fresh, otherwise a value computed on a blocking
-    /// thread. `read` prepares the computation and is cancelled with its caller; the computation
-    /// itself runs to its end. If this fails or the computation panics, which `panicked` converts
-    /// to an error, waiting callers start their own computation.
-    pub(super) async fn compute<E, C>(
+    /// Returns the cached value of a key if it is fresh. Otherwise computes one with `make`, unless
+    /// that is under way, and returns the newest value after [`PATIENCE`] at most; `None` if there
+    /// is none yet. A computation continues after its callers have left.
+    pub(super) async fn newest(
         &self,
         key: &str,
         is_fresh: impl FnOnce(&CachedValue<V>) -> bool,
-        read: impl Future<Output = Result<C, E>>,
-        panicked: impl FnOnce(&JoinError) -> E,
-    ) -> Result<V, E>
-    where
-        E: Send + 'static,
-        C: FnOnce() -> Result<V, E> + Send + 'static,
-    {
-        let mut cached = self.entry(key).lock_owned().await;
-        if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
-            return Ok(cached.value.clone());
+        make: impl Future<Output = V> + Send + 'static,
+    ) -> Option<V> {
+        let entry = self.entry(key);
+        if let Some(cached) = entry.newest().filter(is_fresh) {
+            return Some(cached.value);
         }
-        let started = Instant::now();
-        let permit = self.computing.clone().acquire_owned().await;
-        let computation = read.await?;
-        let computed = tokio::task::spawn_blocking(move || {
-            let _permit = permit;
-            let value = computation()?;
-            *cached = Some(CachedValue { value: value.clone(), started, cost: started.elapsed() });
-            Ok(value)
-        });
-        computed.await.unwrap_or_else(|error| Err(panicked(&error)))
+        if let Ok(computing) = entry.computing.clone().try_lock_owned() {
+            let (entry, computations) = (entry.clone(), self.computations.clone());
+            tokio::spawn(async move {
+                let _computing = computing;
+                let started = Instant::now();
+                // The semaphore is never closed.
+                let _permit = computations.acquire().await;
+                entry.store(make.await, started);
+            });
+        }
+        let _ = tokio::time::timeout(PATIENCE, entry.computing.lock()).await;
+        entry.newest().map(|cached| cached.value)
     }
 
-    fn entry(&self, key: &str) -> Entry<V> {
+    fn entry(&self, key: &str) -> Arc<Entry<V>> {
         // No code panics while holding this lock, so the map is never left inconsistent.
         let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(entry) = entries.get(key) {
@@ -107,7 +116,8 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
             // Evicts every entry that no caller holds; values being computed stay.
             entries.retain(|_, entry| Arc::strong_count(entry) > 1);
         }
-        entries.entry(key.to_owned()).or_default().clone()
+        let new = Entry { computing: Arc::default(), newest: Mutex::default() };
+        entries.entry(key.to_owned()).or_insert(Arc::new(new)).clone()
     }
 }
 
@@ -134,49 +144,51 @@ mod tests {
         assert_eq!(again.await, Ok(7));
     }
 
-    /// Regression: reloading a page while its statistics were computed started another
-    /// computation.
+    /// Regressions: the first page of a large campaign after a restart waited 12 s for the
+    /// statistics; reloading it meanwhile started another computation.
     #[tokio::test]
-    async fn an_abandoned_computation_is_not_started_again() {
+    async fn a_slow_computation_runs_once_and_holds_up_no_reader() {
         let cache = SingleFlightCache::new(2);
+        let release = Arc::new(Semaphore::new(0));
         let begun = Arc::new(AtomicU32::new(0));
-        let (release, gate) = std::sync::mpsc::channel::<()>();
-        let gate = Arc::new(Mutex::new(gate));
-        let request = || {
-            let (begun, gate) = (begun.clone(), gate.clone());
-            let computation = move || {
+        let newest = async |is_fresh: bool| {
+            let (release, begun) = (release.clone(), begun.clone());
+            let make = async move {
                 let number = begun.fetch_add(1, Ordering::Relaxed);
-                let gate = gate.lock().expect("unpoisoned");
-                gate.recv().expect("a release");
-                Ok(number)
+                release.acquire().await.expect("an open semaphore").forget();
+                number
             };
-            let read = async { Ok::<_, String>(computation) };
-            cache.compute("page", |_| true, read, JoinError::to_string)
+            cache.newest("page", |_| is_fresh, make).await
         };
-        for _ in 0..5 {
-            let timed_out = tokio::time::timeout(Duration::from_millis(20), request()).await;
-            assert!(timed_out.is_err(), "the computation is not finished");
+        for _ in 0..3 {
+            assert_eq!(newest(true).await, None);
         }
-        // Sends enough signals for six computations, in case several were started.
-        (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
-        assert_eq!(request().await, Ok(0));
-        assert_eq!(begun.load(Ordering::Relaxed), 1);
+        release.add_permits(1);
+        assert_eq!(newest(true).await, Some(0));
+        assert_eq!(newest(true).await, Some(0), "fresh");
+        assert_eq!(newest(false).await, Some(0), "the newest one, while another is computed");
+        release.add_permits(1);
+        assert_eq!(newest(true).await, Some(0), "fresh");
+        while newest(true).await != Some(1) {
+            tokio::task::yield_now().await;
+        }
+        assert_eq!(begun.load(Ordering::Relaxed), 2);
     }
 
     /// Each read occupies a reader of the database, which other queries need.
     #[tokio::test]
     async fn only_a_few_computations_read_at_a_time() {
         let cache = SingleFlightCache::<()>::new(9);
-        let reading = AtomicU32::new(0);
+        let reading = Arc::new(AtomicU32::new(0));
         let compute = async |key: u32| {
-            let read = async {
+            let reading = reading.clone();
+            let read = async move {
                 reading.fetch_add(1, Ordering::Relaxed);
-                std::future::pending::<Result<fn() -> Result<(), String>, String>>().await
+                std::future::pending().await
             };
-            cache.compute(&key.to_string(), |_| true, read, JoinError::to_string).await
+            cache.newest(&key.to_string(), |_| true, read).await
         };
-        let all = futures_util::future::join_all((0..9).map(compute));
-        tokio::time::timeout(Duration::from_millis(20), all).await.expect_err("they never end");
+        futures_util::future::join_all((0..9).map(compute)).await;
         assert_eq!(reading.load(Ordering::Relaxed), COMPUTATIONS as u32);
     }
 

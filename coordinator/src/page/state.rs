@@ -41,6 +41,9 @@ pub(super) type Compared = Result<Comparison, Unpairable>;
 /// derived, that of its source campaign.
 type Editions = (Edition, Option<Edition>);
 
+/// Statistics, or the error of computing them, with the editions on which they depend.
+type StatisticsCache<E, V> = SingleFlightCache<(E, Result<Arc<V>, Problem>)>;
+
 /// Requested address and headers.
 pub(super) type RequestedPage = (Uri, HeaderMap);
 
@@ -53,14 +56,46 @@ pub(crate) struct Page {
     pub(super) changes: Changes,
     pub(super) storage: Option<Arc<Storage>>,
     pages: SingleFlightCache<Arc<Rendered>>,
-    documents: SingleFlightCache<(Editions, Arc<Document>)>,
-    comparisons: SingleFlightCache<([Edition; 2], Arc<Compared>)>,
+    documents: StatisticsCache<Editions, Document>,
+    comparisons: StatisticsCache<[Edition; 2], Compared>,
     pub(super) metrics: SingleFlightCache<Arc<str>>,
 }
 
 /// Returns the cache time of statistics whose computation took `cost`.
 fn cache_time(cost: Duration) -> Duration {
     (cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE)
+}
+
+/// Runs a computation on a blocking thread, since it takes thousands of bootstrap resamplings.
+async fn on_blocking_thread<T: Send + 'static>(
+    compute: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Problem> {
+    let computed = tokio::task::spawn_blocking(compute).await;
+    computed.map_err(|error| Problem::failed(&error))
+}
+
+impl<E: Clone + PartialEq + Send + 'static, V: Send + Sync + 'static> StatisticsCache<E, V> {
+    /// Returns the statistics of these editions, or earlier ones of the same campaigns; `None` while
+    /// the first ones are computed.
+    async fn statistics(
+        &self,
+        key: &str,
+        editions: E,
+        is_same: impl Fn(&E) -> bool,
+        compute: impl Future<Output = Result<V, Problem>> + Send + 'static,
+    ) -> Result<Option<Arc<V>>, Problem> {
+        let is_fresh = |cached: &CachedValue<(E, Result<Arc<V>, Problem>)>| {
+            let (of, statistics) = &cached.value;
+            statistics.is_ok()
+                && (*of == editions
+                    || is_same(of) && cached.started.elapsed() < cache_time(cached.cost))
+        };
+        let computed_editions = editions.clone();
+        let make = async move { (computed_editions, compute.await.map(Arc::new)) };
+        let newest = self.newest(key, is_fresh, make).await;
+        let newest = newest.filter(|(of, _)| is_same(of));
+        newest.map(|(_, statistics)| statistics).transpose()
+    }
 }
 
 impl Page {
@@ -126,69 +161,59 @@ impl Page {
         }
     }
 
-    /// Returns a campaign's statistics. They may lag behind its results by the cache time, see
+    /// Returns a campaign's statistics; `None` while they are computed for the first time. They may
+    /// lag behind its results by the duration of their computation and the cache time, see
     /// [`cache_time`].
     pub(super) async fn document(
         &self,
         campaign: &Campaign,
         view: &mut View,
-    ) -> Result<Arc<Document>, Problem> {
+    ) -> Result<Option<Arc<Document>>, Problem> {
         let source = match view.source(campaign.id).await? {
             Some(source) => Some(view.edition(source.id).await?),
             None => None,
         };
         let editions = (view.edition(campaign.id).await?, source);
-        let is_fresh = |cached: &CachedValue<(Editions, Arc<Document>)>| {
-            cached.value.0 == editions
-                || (cached.value.0.0.is_of_same_campaign(&editions.0)
-                    && cached.started.elapsed() < cache_time(cached.cost))
+        let is_same = |cached: &Editions| cached.0.is_of_same_campaign(&editions.0);
+        let (queue, campaign) = (self.queue.clone(), campaign.clone());
+        let name = campaign.name.clone();
+        let compute = async move {
+            let subject = report::subject(&mut queue.view().await?, &campaign).await?;
+            on_blocking_thread(move || Document::new(vec![subject]))
+                .await?
+                .map_err(|error| Problem::failed(&error))
         };
-        let computed_editions = editions.clone();
-        let read = async {
-            let subject = report::subject(view, campaign).await?;
-            Ok::<_, Problem>(move || {
-                let document = Document::new(vec![subject]);
-                let document = document.map_err(|error| Problem::failed(&error))?;
-                Ok((computed_editions, Arc::new(document)))
-            })
-        };
-        let (_, document) = self
-            .documents
-            .compute(campaign.name.as_str(), is_fresh, read, |error| Problem::failed(error))
-            .await?;
-        Ok(document)
+        self.documents.statistics(name.as_str(), editions.clone(), is_same, compute).await
     }
 
-    /// Returns the comparison of two campaigns, which may lag behind their results like
+    /// Returns the comparison of two campaigns, which may be absent or lag behind their results like
     /// [`Page::document`].
     pub(super) async fn comparison(
         &self,
         [a, b]: [&Campaign; 2],
         view: &mut View,
-    ) -> Result<Arc<Compared>, Problem> {
+    ) -> Result<Option<Arc<Compared>>, Problem> {
+        let documents = [self.document(a, view).await?, self.document(b, view).await?];
+        let [Some(of_a), Some(of_b)] = documents else { return Ok(None) };
         let editions = [view.edition(a.id).await?, view.edition(b.id).await?];
-        let is_fresh = |cached: &CachedValue<([Edition; 2], Arc<Compared>)>| {
-            let mut pairs = cached.value.0.iter().zip(&editions);
-            cached.value.0 == editions
-                || (pairs.all(|(cached, now)| cached.is_of_same_campaign(now))
-                    && cached.started.elapsed() < cache_time(cached.cost))
-        };
-        let computed_editions = editions.clone();
-        let read = async {
-            let documents = [self.document(a, view).await?, self.document(b, view).await?];
-            let setups = [report::setups(view, a).await?, report::setups(view, b).await?];
-            Ok::<_, Problem>(move || {
-                let [a, b] = documents.each_ref().map(|document| &document.analyses[0]);
-                let compared = Comparison::of([a, b], setups.each_ref());
-                Ok((computed_editions, Arc::new(compared)))
-            })
+        let is_same = |cached: &[Edition; 2]| {
+            cached.iter().zip(&editions).all(|(cached, now)| cached.is_of_same_campaign(now))
         };
         // Campaign names contain no spaces, so the key is unambiguous.
         let key = format!("{} {}", a.name, b.name);
-        let compared =
-            self.comparisons.compute(&key, is_fresh, read, |error| Problem::failed(error));
-        let (_, compared) = compared.await?;
-        Ok(compared)
+        let (queue, campaigns) = (self.queue.clone(), [a.clone(), b.clone()]);
+        let compute = async move {
+            let mut view = queue.view().await?;
+            let [a, b] = &campaigns;
+            let setups = [report::setups(&mut view, a).await?, report::setups(&mut view, b).await?];
+            drop(view);
+            on_blocking_thread(move || {
+                let analyses = [&of_a, &of_b].map(|document| &document.analyses[0]);
+                Comparison::of(analyses, setups.each_ref())
+            })
+            .await
+        };
+        self.comparisons.statistics(&key, editions.clone(), is_same, compute).await
     }
 
     /// Looks a campaign up by the name in an address. The whole page reads from the returned view,

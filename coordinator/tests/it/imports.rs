@@ -1,11 +1,10 @@
-//! Archives with altered rows that satisfy the database's own constraints, and campaigns that are
-//! imported in several transactions.
+//! Archives with altered rows, and campaigns that are imported in several transactions.
 
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use proto::coordinator::commit_response::Verdict;
-use queue::DATABASE_FILE;
+use queue::ROLLOUTS_FILE;
 use queue::invariants::check;
 use serde_json::{Value, json};
 
@@ -15,26 +14,24 @@ use crate::harness::{open_database, rollout_id, small_spec, with};
 use crate::moving::{Bench, members, write};
 use crate::process::Serve;
 
-/// Alters the database of an archive, and recomputes the archive's table of contents.
-async fn alter(archive: &Path, into: &Path, sql: &'static str) {
+/// Alters the lines of an archive's rollouts, and recomputes the archive's table of contents.
+pub(crate) fn alter(archive: &Path, into: &Path, alter: impl FnOnce(&mut Vec<Value>)) {
     let mut altered = members(archive);
-    let folder = tempfile::tempdir().expect("a folder");
-    let database = folder.path().join(DATABASE_FILE);
-    let rows = altered.iter_mut().find(|(name, _)| name == DATABASE_FILE);
-    let (_, rows) = rows.expect("a database");
-    std::fs::write(&database, &rows).expect("written");
-    let pool = open_database(folder.path()).await;
-    let result = sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
-    assert!(result.rows_affected() > 0, "{sql}");
-    sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)").execute(&pool).await.expect("one file");
-    pool.close().await;
-    *rows = std::fs::read(&database).expect("a database");
+    let rows = altered.iter_mut().find(|(name, _)| name == ROLLOUTS_FILE);
+    let (_, rows) = rows.expect("rollouts");
+    let text = std::str::from_utf8(rows).expect("text").lines();
+    let mut lines: Vec<Value> =
+        text.map(|line| serde_json::from_str(line).expect("JSON")).collect();
+    let before = lines.clone();
+    alter(&mut lines);
+    assert_ne!(lines, before);
+    *rows = lines.iter().flat_map(|line| format!("{line}\n").into_bytes()).collect();
     write(into, &altered, true);
 }
 
 /// Each of these rows would cause every claim, commit or page that reads the row to fail.
 #[tokio::test(flavor = "multi_thread")]
-async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
+async fn imported_rows_that_contradict_their_campaign_are_refused_by_line() {
     let mut source = Bench::with(&with(small_spec("moved"), json!({"replicates": 2}))).await;
     source.run(2, "").await;
     let file = source.archive("moved");
@@ -42,107 +39,43 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
     let before = target.rows().await;
     let bad = target.folder.path().join("bad.tar.gz");
     let path = bad.display().to_string();
-    for (sql, words) in [
-        (
-            "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps',
-                 9223372036854775807) WHERE id = (SELECT max(id) FROM job)",
-            &["manifest row cannot be read", "9223372036854775807"][..],
-        ),
-        (
-            "UPDATE job SET manifest_row = json_remove(manifest_row, '$.suite')
-             WHERE id = (SELECT max(id) FROM job)",
-            &["manifest row cannot be read", "`suite`"],
-        ),
-        (
-            "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps', 279)
-             WHERE id = (SELECT max(id) FROM job)",
-            &["the campaign's specification gives it another `max_steps`"],
-        ),
-        (
-            "UPDATE job SET manifest_row = json_set(manifest_row, '$.num_steps_wait', 4294967295)
-             WHERE id = (SELECT max(id) FROM job)",
-            &["the campaign's specification gives it another `num_steps_wait`"],
-        ),
-        (
-            "INSERT INTO campaign_task SELECT id, 'libero_object/1' FROM campaign;
-             UPDATE job SET task = 'libero_object/1' WHERE id = (SELECT max(id) FROM job)",
-            &["its `task` is not that of its manifest row"],
-        ),
-        (
-            "UPDATE job SET init_id = init_id + 1 WHERE id = (SELECT max(id) FROM job)",
-            &["its `init_id` is not that of its manifest row"],
-        ),
-        (
-            "UPDATE job SET policy_seed = 7 WHERE id = (SELECT max(id) FROM job)",
-            &["its `policy_seed` is not that of its manifest row"],
-        ),
-        (
-            "UPDATE job SET replicate = 1099511627776 WHERE id = (SELECT max(id) FROM job)",
-            &["its `replicate` is not that of its manifest row"],
-        ),
-        (
-            "UPDATE job SET rollout_id = 'object/t0/nominal/i49'
-             WHERE id = (SELECT max(id) FROM job)",
-            &["its `rollout_id` is not that of its manifest row"],
-        ),
-        (
-            "DELETE FROM job WHERE unit_order = (SELECT max(unit_order) FROM job);
-             UPDATE campaign SET jobs = jobs - 1",
-            &["find the campaign's rollouts", "it holds 7", "has 8"],
-        ),
-        (
-            "UPDATE result SET outcome = json_set(outcome, '$.realised.camera', 7)
-             WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["results_fit_their_rows", "the result of job", "`7` is given where"],
-        ),
-        (
-            "UPDATE provenance SET origin = json_set(origin, '$.host', 7)",
-            &["results_fit_their_rows", "provenance 1: `7` is given where"],
-        ),
-        (
-            "PRAGMA writable_schema = ON;
-             UPDATE sqlite_schema SET sql = replace(sql, 'outcome ->> ''steps''', '1')
-             WHERE name = 'result';
-             PRAGMA writable_schema = RESET;
-             UPDATE result SET attempt = attempt;
-             PRAGMA writable_schema = ON;
-             UPDATE sqlite_schema SET sql = replace(sql, 'AS (1)', 'AS (outcome ->> ''steps'')')
-             WHERE name = 'result';
-             PRAGMA writable_schema = RESET",
-            &["results_fit_their_rows", "has 1 control steps"],
-        ),
-        (
-            "UPDATE worker SET slots = 1099511627776",
-            &["its `slots` is 1099511627776", "1 to 65536"],
-        ),
-        ("UPDATE worker SET cores = 65537", &["its `cores` is 65537", "1 to 65536"]),
-        (
-            "PRAGMA foreign_keys = OFF; UPDATE result SET worker_id = 'a b';
-             UPDATE worker SET id = 'a b'",
-            &["read worker id `a b`"],
-        ),
-        (
-            "UPDATE result SET outcome = json_set(outcome, '$.policy_queries', 9223372036854775807)
-             WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["results_fit_their_rows", "9223372036854775807"],
-        ),
-        (
-            "UPDATE result SET outcome = json_set(outcome, '$.wall_secs', 1e300)
-             WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["results_fit_their_rows", "`wall_secs`"],
-        ),
-        (
-            "UPDATE result SET outcome = json_set(outcome, '$.clipped_actions', steps + 1)
-             WHERE job_id = (SELECT min(job_id) FROM result)",
-            &["results_fit_their_rows"],
-        ),
+    // Line 1 has the campaign's state, lines 2 and 3 have results, and line 9 is the last.
+    let huge = json!(9_223_372_036_854_775_807_i64);
+    let result = |field: &str| format!("/result/measurement/result/{field}");
+    for (line, field, value, words) in [
+        (9, "/row/max_steps".to_owned(), huge.clone(), &["read line 9", "9223372036854775807"][..]),
+        (9, "/row/suite".to_owned(), json!(null), &["read line 9", "null"]),
+        (9, "/row/max_steps".to_owned(), json!(279), &["read line 9", "another row"]),
+        (9, "/row/num_steps_wait".to_owned(), json!(4_294_967_295_u32), &["another row"]),
+        (9, "/row/init_id".to_owned(), json!(48), &["another row"]),
+        (9, "/row/rollout_id".to_owned(), json!("object/t0/nominal/i49"), &["read line 9", "/i49"]),
+        (9, "/replicate".to_owned(), json!(1_099_511_627_776_i64), &["1099511627776"]),
+        (9, "/replicate".to_owned(), json!(0), &["read line 9", "left in replicate 0"]),
+        (9, "/charged_attempts".to_owned(), json!(1), &["contradicts the schema"]),
+        (9, "/losses".to_owned(), json!(1), &["losses_are_accounted_for"]),
+        (3, result("realised/camera"), json!(7), &["read line 3", "`7`"]),
+        (2, result("policy_queries"), huge, &["read line 2", "9223372036854775807"]),
+        (2, result("wall_secs"), json!(1e300), &["results_fit_their_rows", "`wall_secs`"]),
+        (2, result("clipped_actions"), json!(121), &["results_fit_their_rows"]),
+        (2, "/result/measurement/provenance/host".to_owned(), json!(7), &["line 2", "`7`"]),
+        (2, "/result/worker".to_owned(), json!("a b"), &["read worker id `a b`"]),
+        (2, "/result/path".to_owned(), json!("0"), &["rollouts.jsonl", "contradicts the schema"]),
+        (2, "/result".to_owned(), json!(null), &["attempts_are_accounted_for"]),
+        (1, "/pinned".to_owned(), json!(null), &["results_pin_the_campaign"]),
+        (1, "/priority".to_owned(), json!(101), &["contradicts the schema"]),
+        (1, "/state/is".to_owned(), json!("sold"), &["read line 1", "`sold`"]),
     ] {
-        alter(&file, &bad, sql).await;
+        alter(&file, &bad, |lines| {
+            *lines[line - 1].pointer_mut(&field).expect(&field) = value.clone();
+        });
         let message = target.refused(&["campaign", "import", &path]);
         for word in words.iter().chain(&["bad.tar.gz"]) {
-            assert!(message.contains(word), "{message} lacks {word} after {sql}");
+            assert!(message.contains(word), "{message} lacks {word} after {field} = {value}");
         }
     }
+    alter(&file, &bad, |lines| drop(lines.pop()));
+    let message = target.refused(&["campaign", "import", &path]);
+    assert!(message.contains("it holds 7, and its specification has 8"), "{message}");
     check_unchanged(&target, &before, &file).await;
 }
 
@@ -162,54 +95,10 @@ async fn an_archive_whose_times_lie_days_ahead_is_refused() {
     let target = Bench::empty().await;
     let before = target.rows().await;
     let bad = target.folder.path().join("bad.tar.gz");
-    let ahead = "UPDATE result SET committed_ms = 9223372036854775807
-                 WHERE job_id = (SELECT min(job_id) FROM result)";
-    alter(&file, &bad, ahead).await;
+    alter(&file, &bad, |lines| lines[1]["result"]["committed_ms"] = json!(i64::MAX));
     let message = target.refused(&["campaign", "import", &bad.display().to_string()]);
     assert!(message.contains("s ahead of this coordinator's"), "{message}");
     check_unchanged(&target, &before, &file).await;
-}
-
-/// Rewrites an archive as earlier releases wrote it, with the reference's names of conditions.
-async fn with_published_names(archive: &Path) {
-    let published = "UPDATE job SET manifest_row = replace(replace(replace(replace(manifest_row,
-                '/nominal/', '/clean/'), '/simultaneous/', '/combination/'),
-                '\"nominal\"', '\"clean\"'), '\"simultaneous\"', '\"combination\"');
-         UPDATE job SET rollout_id = manifest_row ->> 'rollout_id'";
-    alter(archive, archive, published).await;
-    let mut members = members(archive);
-    for (name, bytes) in &mut members {
-        if ["provenance.json", "report.json"].contains(&name.as_str()) {
-            let text = String::from_utf8(std::mem::take(bytes)).expect("JSON");
-            let text = text.replace("\"simultaneous\": {", "\"combination\": {");
-            let text = text.replace("nominal_relative_loss", "clean_relative_loss");
-            let text = text.replace("/nominal/", "/clean/");
-            *bytes = text.replace("/simultaneous/", "/combination/").into_bytes();
-        }
-    }
-    write(archive, &members, true);
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn archives_with_the_references_names_are_imported_and_continue() {
-    let mut source = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
-    source.run(4, "").await;
-    let half = source.archive("moved");
-    with_published_names(&half).await;
-    let mut target = Bench::empty().await;
-    target.import(&half);
-    target.assert_invariants().await;
-    for bench in [&mut source, &mut target] {
-        bench.run(64, "").await;
-    }
-    for command in [&["report", "moved", "--json"][..], &["export", "moved", "--format", "jsonl"]] {
-        assert_eq!(target.succeed(command), source.succeed(command));
-    }
-    source.begin(&["thresholds", "moved", "--create"]).await;
-    let search = source.archive("moved-thresholds");
-    with_published_names(&search).await;
-    target.import(&search);
-    target.assert_invariants().await;
 }
 
 /// The step budgets of derived rollouts must equal those of the source campaign's rollouts.
@@ -228,9 +117,10 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
     target.import(&source_archive);
     let before = target.rows().await;
     let bad = target.folder.path().join("bad.tar.gz");
-    let longer = "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps', 281)
-                  WHERE id = (SELECT max(id) FROM job)";
-    alter(&file, &bad, longer).await;
+    alter(&file, &bad, |lines| {
+        let last = lines.last_mut().expect("a rollout");
+        last["row"]["max_steps"] = json!(281);
+    });
     let message = target.refused(&["campaign", "import", &bad.display().to_string()]);
     assert!(message.contains("other step budgets"), "{message}");
     check_unchanged(&target, &before, &file).await;

@@ -19,7 +19,8 @@ use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 
 use crate::artifacts::put;
-use crate::harness::{Worker, open_database, rollout_id, rows, small_spec, with};
+use crate::harness::{Worker, rollout_id, rows, small_spec, with};
+use crate::imports::alter;
 use crate::process::{Serve, succeed, text};
 
 static WORKERS: AtomicU32 = AtomicU32::new(0);
@@ -174,6 +175,11 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], recompute_conten
     }
     let mut out = tar.into_inner().expect("finished").finish().expect("finished");
     out.flush().expect("written");
+}
+
+/// Returns the name of a film of no attempt of the campaign.
+fn film() -> String {
+    format!("artifacts/moved/film.{:032x}.mp4", 1)
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -336,79 +342,53 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     write(&bad, &with_extra_member, true);
     refused(&["no film of this campaign"]);
     // A browser would run scripts in the first two of these files if the coordinator served them.
-    for page in ["page.html", "film.mp4.svg", ".mp4", "a b.mp4"] {
+    for page in ["page.html", "film.mp4.svg", ".mp4", "film.mp4", &format!("a b.{:032x}.mp4", 1)] {
         with_extra_member.pop();
         with_extra_member.push((format!("artifacts/moved/{page}"), vec![1]));
         write(&bad, &with_extra_member, true);
         refused(&["archive.json", page, "no film of this campaign"]);
     }
     with_extra_member.pop();
-    with_extra_member.push(("artifacts/moved/film.mp4".to_owned(), vec![1]));
+    with_extra_member.push((film(), vec![1]));
     write(&bad, &with_extra_member, true);
-    refused(&["coordinator.sqlite", "its films differ"]);
+    refused(&["rollouts.jsonl", "0 of 1 films have one"]);
 
-    // In these archives, the table of contents matches the altered members. Member 3 is the report,
-    // member 4 the database.
+    // In these archives, the table of contents matches the altered members. Member 1 is the
+    // specification, member 3 the report, member 4 the rollouts.
     let mut report = sound.clone();
     let text = String::from_utf8(report[3].1.clone()).expect("JSON");
     report[3].1 = text.replacen("\"policy\": \"expert\"", "\"policy\": \"other\"", 1).into();
     assert_ne!(report[3].1, sound[3].1);
     write(&bad, &report, true);
     refused(&["report.json", "differs", ".policy"]);
-    for (sql, words) in [
-        (
-            "UPDATE result SET outcome = json_set(outcome,
-                 '$.success', json(iif(success, 'false', 'true')),
-                 '$.goal.predicates', 1, '$.goal.at_end', 1 - success, '$.goal.at_most', 1)
-             WHERE job_id = (SELECT min(job_id) FROM result);
-             UPDATE tally SET succeeded = (SELECT sum(success) FROM result)",
-            &["report.json", "differs"][..],
-        ),
-        (
-            "UPDATE campaign SET spec = replace(spec, 'L1', 'L2')",
-            &["specification", "coordinator.sqlite"][..],
-        ),
-        (
-            "DELETE FROM job WHERE state = 'queued'",
-            &["expansion_is_whole", "coordinator.sqlite"][..],
-        ),
-        ("CREATE TABLE mine (number INTEGER)", &["schema_is_the_programs", "mine"][..]),
-        (
-            "CREATE TRIGGER mine AFTER UPDATE ON job BEGIN DELETE FROM artifact; END",
-            &["schema_is_the_programs", "mine"][..],
-        ),
-        // Reading the schema version would never end.
-        (
-            "DROP TABLE _sqlx_migrations;
-             CREATE VIEW _sqlx_migrations AS
-                 WITH RECURSIVE n(version) AS (SELECT 1 UNION ALL SELECT version + 1 FROM n)
-                 SELECT version, 1 AS success, x'' AS checksum FROM n",
-            &["schema_is_the_programs", "_sqlx_migrations"][..],
-        ),
-        ("DELETE FROM campaign", &["coordinator.sqlite"][..]),
-    ] {
-        let folder = tempfile::tempdir().expect("a folder");
-        let database = folder.path().join("coordinator.sqlite");
-        std::fs::write(&database, &sound[4].1).expect("written");
-        let pool = open_database(folder.path()).await;
-        sqlx::raw_sql(sql).execute(&pool).await.expect("altered");
-        sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)").execute(&pool).await.expect("one file");
-        pool.close().await;
-        let mut altered = sound.clone();
-        altered[4].1 = std::fs::read(&database).expect("a database");
-        write(&bad, &altered, true);
-        refused(words);
-    }
+    alter(&file, &bad, |lines| {
+        let result = &mut lines[1]["result"]["measurement"]["result"];
+        let success = result["success"] == false;
+        result["success"] = json!(success);
+        result["goal"]["at_end"] = json!(if success { 2 } else { 0 });
+        result["goal"]["at_most"] = json!(2);
+    });
+    refused(&["report.json", "differs"]);
+    let mut other = sound.clone();
+    let text = String::from_utf8(other[1].1.clone()).expect("JSON");
+    other[1].1 = text.replace("L1", "r1").into();
+    write(&bad, &other, true);
+    refused(&["rollouts.jsonl", "has no rollout"]);
+    other[1].1 = b"{}".to_vec();
+    write(&bad, &other, true);
+    refused(&["specification.json"]);
+    let mut empty = sound.clone();
+    empty[4].1.clear();
+    write(&bad, &empty, true);
+    refused(&["rollouts.jsonl", "read line 1: it is missing"]);
 
-    for (field, what) in [("format", "format 1000"), ("schema", "schema version 1000")] {
-        let mut other = sound.clone();
-        let mut list: Value = serde_json::from_slice(&other[0].1).expect("a list");
-        list[field] = json!(1_000);
-        list["members"] = json!("of another kind");
-        other[0].1 = list.to_string().into_bytes();
-        write(&bad, &other, false);
-        refused(&[what, "use the program that wrote it"]);
-    }
+    let mut other = sound.clone();
+    let mut list: Value = serde_json::from_slice(&other[0].1).expect("a list");
+    list["format"] = json!(1_000);
+    list["members"] = json!("of another kind");
+    other[0].1 = list.to_string().into_bytes();
+    write(&bad, &other, false);
+    refused(&["format 1000", "use the program that wrote it"]);
 
     assert_eq!(target.rows().await, before, "a refused archive changed rows");
     assert!(!target.folder.path().join("artifacts").exists());
@@ -454,16 +434,16 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
     }
     // A film of zeros that the table of contents lists correctly.
     let mut large = sound.clone();
-    large.push(("artifacts/moved/film.mp4".to_owned(), vec![0; UNPACKED_BYTES as usize]));
+    large.push((film(), vec![0; UNPACKED_BYTES as usize]));
     write(&bad, &large, true);
     refused(&["archive.json", "it claims 192 MiB of members"]);
     // The same film, listed with a size of one byte.
     let mut list: Value = serde_json::from_slice(&sound[0].1).expect("a list");
-    let film = json!({"name": "artifacts/moved/film.mp4", "bytes": 1, "sha256": "00"});
-    list["members"].as_array_mut().expect("members").push(film);
+    let listed = json!({"name": film(), "bytes": 1, "sha256": "00"});
+    list["members"].as_array_mut().expect("members").push(listed);
     large[0].1 = list.to_string().into_bytes();
     write(&bad, &large, false);
-    refused(&["artifacts/moved/film.mp4", "it has 201326592 bytes instead of 1"]);
+    refused(&[&film(), "it has 201326592 bytes instead of 1"]);
     // Endless padding after the last member.
     let out = GzEncoder::new(File::create(&bad).expect("a file"), Compression::fast());
     let mut tar = tar::Builder::new(out);

@@ -81,11 +81,16 @@ fn join_chunks(mut chunks: &[u8]) -> Vec<u8> {
     body
 }
 
-/// Like [`send`], on a blocking thread.
+/// Like [`send`], on a blocking thread; waits for the figures of a page.
 pub(crate) async fn http(url: &str, request: &str) -> Answer {
-    let (url, request) = (url.to_owned(), request.to_owned());
-    let answer = tokio::task::spawn_blocking(move || send(&url, &request));
-    answer.await.expect("an answer")
+    loop {
+        let (url, request) = (url.to_owned(), request.to_owned());
+        let answer = tokio::task::spawn_blocking(move || send(&url, &request));
+        let answer = answer.await.expect("an answer");
+        if !answer.text().contains("figures are being computed") {
+            return answer;
+        }
+    }
 }
 
 /// Starts a coordinator with a campaign that has two results and two queued jobs.

@@ -51,7 +51,7 @@ pub enum CheckError {
 }
 
 /// Name of the invariant that a database violates if its schema differs from this program's.
-pub(crate) const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
+const SCHEMA_INVARIANT: &str = "schema_is_the_programs";
 
 /// Name of the invariant that a database violates if a result or a provenance cannot be a worker's.
 const RESULTS_INVARIANT: &str = "results_fit_their_rows";

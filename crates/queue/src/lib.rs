@@ -33,10 +33,10 @@ pub use operations::claim::{Assigned, ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 pub use operations::commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operations::error::QueueError;
 pub use operations::films::Film;
-pub use operations::imported::{RowProblem, RowsError, WorkerProblem};
 pub use operations::local_videos::{FilmRemoval, LocalFilm};
 pub use operations::portable::{
-    AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,
+    AdoptError, CopyError, FilmFile, Portable, PortableError, ROLLOUTS_FILE, SourceOutcomes,
+    film_attempt,
 };
 pub use operations::release::{ReleaseReply, ReleaseVerdict};
 pub use operations::retry::{MAX_JOBS_RETRIED, Retry};

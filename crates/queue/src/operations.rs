@@ -16,7 +16,6 @@ pub(crate) mod error;
 pub(crate) mod filming;
 pub(crate) mod films;
 pub(crate) mod heartbeat;
-pub(crate) mod imported;
 pub(crate) mod in_flight;
 pub(crate) mod lacking;
 pub(crate) mod local_videos;

@@ -71,7 +71,7 @@ impl View {
         Ok(View { transaction: store.read().await?, now, timing, held, filming, lacking })
     }
 
-    fn tx(&mut self) -> &mut SqliteConnection {
+    pub(crate) fn tx(&mut self) -> &mut SqliteConnection {
         self.transaction.deref_mut()
     }
 }

@@ -6,14 +6,13 @@
 //! `synchronous=FULL`, so that a committed transaction survives a power cut.
 
 pub(crate) mod artifacts;
-pub(crate) mod attached;
 pub(crate) mod backup;
+pub(crate) mod budgets;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod hidden;
-pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod outcomes;
@@ -22,7 +21,6 @@ pub(crate) mod portable;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
-pub(crate) mod schema;
 pub(crate) mod stops;
 pub(crate) mod workers;
 
@@ -34,7 +32,6 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use benchmark::PUBLISHED;
 use sqlx::migrate::{MigrateError, Migrator};
 use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{
@@ -241,7 +238,6 @@ impl Store {
             known: newest_known_schema(),
             source,
         })?;
-        rename_conditions(&writer).await.map_err(database)?;
         let readers = pool_options(READERS)
             .connect_with(options.create_if_missing(false))
             .await
@@ -307,11 +303,6 @@ impl Store {
             .await
             .doing("checkpoint the write-ahead log")
             .map(drop)
-    }
-
-    /// Rebuilds the database file without free pages, so that equal rows give equal bytes.
-    pub(crate) async fn compact(&self) -> Result<(), StoreError> {
-        sqlx::query("VACUUM").execute(&self.writer).await.doing("compact the database").map(drop)
     }
 
     /// Checkpoints the entire write-ahead log, closes the database and unlocks the data folder. If
@@ -396,23 +387,6 @@ fn make_private(database: &Path) -> io::Result<()> {
             let private = Permissions::from_mode(mode & PRIVATE_MODE);
             let _ = std::fs::set_permissions(path, private);
         }
-    }
-    Ok(())
-}
-
-/// Renames the conditions in rows of releases that named them as the reference does.
-async fn rename_conditions(writer: &SqlitePool) -> Result<(), sqlx::Error> {
-    for (condition, published) in PUBLISHED {
-        sqlx::query(
-            "UPDATE job SET rollout_id = replace(rollout_id, '/' || ?1 || '/', '/' || ?2 || '/'),
-                 manifest_row = replace(replace(manifest_row, '/' || ?1 || '/', '/' || ?2 || '/'),
-                     json_quote(?1), json_quote(?2))
-             WHERE id IN (SELECT id FROM job WHERE instr(rollout_id, '/' || ?1 || '/') > 0)",
-        )
-        .bind(published)
-        .bind(condition.name())
-        .execute(writer)
-        .await?;
     }
     Ok(())
 }

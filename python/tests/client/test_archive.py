@@ -1,11 +1,9 @@
 """Results of archives, read without a coordinator."""
 
-import contextlib
 import gzip
 import hashlib
 import io
 import json
-import sqlite3
 import subprocess
 import tarfile
 import tracemalloc
@@ -76,7 +74,7 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
 
     alter(lambda name, content: content[:-1] + b"?" if "report" in name else content)
     refused(bad, r"report\.json .*SHA-256 is not the one in archive\.json")
-    alter(with_list(format=2))
+    alter(with_list(format=1))
     refused(bad, "install the release that wrote it")
     alter(with_list(members=[{"name": "../outside", "bytes": 0, "sha256": ""}]))
     refused(bad, "its members do not begin with")
@@ -105,29 +103,24 @@ def list_of(members, sizes=()):
 def test_an_archive_with_a_malformed_list_is_refused(tmp_path):
     bad = tmp_path / "bad.tar.gz"
     members = [*list_of(dict.fromkeys(MEMBERS[:3], b"")), 7]
-    contents = json.dumps({"format": 1, "schema": 1, "campaign": "kept", "members": members})
+    contents = json.dumps({"format": 2, "campaign": "kept", "members": members})
     for content in (contents.encode(), b"[]", b"7", b"{", b"[" * 100_000):
         pack(bad, {"archive.json": content})
         refused(bad, r"archive\.json .*it is not a list of members")
 
 
-def rewrite(file, to, sql="", sizes=(), **changed):
-    """Writes a copy of an archive with a changed database and changed members. The copy's list of
-    members is correct, except for these sizes."""
+def rewrite(file, to, sizes=(), **changed):
+    """Writes a copy of an archive with changed members. The copy's list of members is correct,
+    except for these sizes."""
     with tarfile.open(file) as tar:
         members = {member.name: tar.extractfile(member).read() for member in tar}
     contents = json.loads(members.pop("archive.json"))
-    database = to.with_suffix(".sqlite")
-    database.write_bytes(members["coordinator.sqlite"])
-    with contextlib.closing(sqlite3.connect(database)) as connection:
-        connection.executescript(f"PRAGMA journal_mode = DELETE; {sql}")
-    members["coordinator.sqlite"] = database.read_bytes()
     members |= {name.replace("_", "."): content for name, content in changed.items()}
     contents["members"] = list_of(members, sizes)
     pack(to, {"archive.json": json.dumps(contents).encode(), **members})
 
 
-def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
+def test_a_malicious_archive_takes_no_memory_or_disk(archive, tmp_path):
     file, _ = archive
     expanded_bytes = 192 << 20
     bad = tmp_path / "bad.tar.gz"
@@ -149,20 +142,7 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
     refused(bad, "not of 1 bytes")
     rewrite(file, bad, sizes={"report.json": -1})
     refused(bad, "it claims")
-    # If the authorizer permitted views, this view would count without end.
-    endless = """
-        ALTER TABLE motion RENAME TO former;
-        CREATE VIEW motion AS
-            WITH RECURSIVE n(job_id) AS (SELECT 1 UNION ALL SELECT job_id + 1 FROM n)
-            SELECT job_id, x'' AS path, x'' AS actions FROM n WHERE job_id < 0;
-    """
-    rewrite(file, bad, sql=endless)
-    refused(bad, "archive the campaign again")
-    # SQLite would fill the memory with these bytes when they are read.
-    generated = """
-        ALTER TABLE motion RENAME TO former;
-        CREATE TABLE motion (job_id INTEGER, path AS (zeroblob(900000000)), actions BLOB);
-        INSERT INTO motion (job_id) SELECT job_id FROM former;
-    """
-    rewrite(file, bad, sql=generated)
-    refused(bad, "table motion does not store path")
+    # A list is no rollout, and a deep one exceeds Python's stack.
+    for rollout in (b"[]\n", b"{\n", b"[" * 100_000, b" " * (17 << 20)):
+        rewrite(file, bad, rollouts_jsonl=b"{}\n" + rollout)
+        refused(bad, r"rollouts\.jsonl .*archive the campaign again")

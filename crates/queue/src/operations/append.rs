@@ -12,9 +12,9 @@ use super::records::{on_blocking_thread, specification};
 use crate::expand::{NewCampaign, NewJob, differing_fields};
 use crate::ids::CampaignName;
 use crate::queue::Queue;
+use crate::store::budgets::{self, Budget};
 use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
-use crate::store::imported::{self, Budget};
 use crate::store::{Doing, undecodable};
 
 /// A row to be added to a campaign.
@@ -68,7 +68,7 @@ impl Queue {
         let mut view = self.shared.store.read().await?;
         let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
         let budgets = match campaigns::source(&mut view, campaign.id).await? {
-            Some(source) => Some(imported::budgets(&mut view, source.id).await?),
+            Some(source) => Some(budgets::of_campaign(&mut view, source.id).await?),
             None => None,
         };
         drop(view);

@@ -1,52 +1,64 @@
-//! Transfer of a campaign between coordinators, by means of a data folder whose database has the
-//! regular schema and holds only this campaign.
+//! Transfer of a campaign between coordinators: its specification, and a file of lines of JSON, of
+//! which the first has the state of the campaign and each other one a job.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::fs::File;
+use std::io::{BufRead, BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
-use benchmark::CampaignSpec;
+use benchmark::attempt::AttemptId;
+use benchmark::{CampaignSpec, Rollouts};
 use paired::Outcome;
+use serde::de::DeserializeOwned;
 use sha2::{Digest, Sha256};
 
-use super::artifacts::campaign_folder;
+use super::artifacts::{ARTIFACTS_FOLDER, campaign_folder};
 use super::batches::{self, JOBS_PER_BATCH};
 use super::context::Context;
 use super::error::QueueError;
-use super::imported::{self, RowsError};
+use super::records::on_blocking_thread;
 use super::removals;
-use crate::expand::altered;
-use crate::ids::{CampaignId, CampaignName};
-use crate::invariants::{self, SCHEMA_INVARIANT, Violation};
+use crate::expand::{ExpandError, NewCampaign, NewJob, altered};
+use crate::ids::{CampaignId, CampaignName, json_problem};
+use crate::invariants::{self, Violation};
 use crate::queue::Queue;
 use crate::read::{Counts, View};
 use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
-use crate::store::portable::{self, CopyTarget};
+use crate::store::portable::{self, Films, Head, Line};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, hidden, instants, outcomes,
-    removals as removal_marks, schema, undecodable,
+    Doing, OpenError, Store, StoreError, budgets, hidden, instants, outcomes,
+    removals as removal_marks, undecodable,
 };
 use crate::timing::Timing;
 
+/// File of a campaign's state and jobs.
+pub const ROLLOUTS_FILE: &str = "rollouts.jsonl";
+/// Longest accepted line, bytes: a rollout of thousands of steps with its actions takes a tenth.
+const MAX_LINE_BYTES: u64 = 16 << 20;
 /// Longest time by which the instants of an added campaign may be ahead of this coordinator's clock,
 /// which begins at the newest one when the coordinator starts the next time.
 const MAX_AHEAD: Duration = Duration::from_secs(24 * 3_600);
 
-/// A campaign in a data folder of its own.
+/// A campaign in a folder of its own, as the file of its jobs and, once verified, as a database.
 #[derive(Debug)]
 pub struct Portable {
-    pub(super) store: Store,
+    store: Store,
+    head: Head,
+    films: Films,
     pub campaign: Campaign,
     /// Specification, JSON.
     pub spec: String,
 }
 
-/// A video of a campaign being exported.
+/// A video of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilmFile {
-    /// Path below the data folder.
+    /// Its name in an archive, `artifacts/CAMPAIGN/….ATTEMPT.mp4`.
+    pub name: String,
+    /// Path below the data folder of the coordinator that has it.
     pub path: String,
     /// Size, bytes.
     pub size_bytes: u64,
@@ -61,37 +73,139 @@ pub struct SourceOutcomes {
     pub outcomes: String,
 }
 
-/// A data folder that does not hold exactly one valid campaign.
+/// A folder that does not hold a valid campaign.
 #[derive(Debug, thiserror::Error)]
 pub enum PortableError {
     #[error(transparent)]
     Open(#[from] OpenError),
     #[error(transparent)]
     Store(#[from] StoreError),
-    #[error("find the campaign of the database: it holds {count} campaigns, not one")]
-    NotOne { count: usize },
-    #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
-    SpecDigest { campaign: CampaignName },
-    #[error("verify the database: the invariant `{invariant}` is violated ({example})")]
+    #[error("read the file: this user must be allowed to")]
+    Read(#[from] std::io::Error),
+    #[error("expand the campaign's specification")]
+    Specification(#[from] ExpandError),
+    #[error("read line {line}: {problem}")]
+    Line { line: u64, problem: String },
+    #[error("find the campaign's rollouts: it holds {found}, and its specification has {expected}")]
+    Rollouts { found: u64, expected: u64 },
+    #[error("find the results of its films: {results} of {films} films have one")]
+    Films { results: i64, films: usize },
+    #[error("verify the rows: the invariant `{invariant}` is violated ({example})")]
     Violated { invariant: &'static str, example: String },
-    #[error(transparent)]
-    Rows(#[from] RowsError),
+}
+
+/// Reader of a file of jobs.
+struct Lines {
+    file: BufReader<File>,
+    number: u64,
+}
+
+impl Lines {
+    /// Opens the file in a folder, and reads its first line.
+    fn open(folder: &Path) -> Result<(Head, Lines), PortableError> {
+        let file = BufReader::new(File::open(folder.join(ROLLOUTS_FILE))?);
+        let mut lines = Lines { file, number: 0 };
+        match lines.next()? {
+            Some(head) => Ok((head, lines)),
+            None => Err(lines.problem("it is missing".to_owned())),
+        }
+    }
+
+    fn problem(&self, problem: String) -> PortableError {
+        PortableError::Line { line: self.number, problem }
+    }
+
+    fn next<T: DeserializeOwned>(&mut self) -> Result<Option<T>, PortableError> {
+        self.number += 1;
+        let mut line = Vec::new();
+        let mut limited = self.file.by_ref().take(MAX_LINE_BYTES);
+        match limited.read_until(b'\n', &mut line)? {
+            0 => Ok(None),
+            _ => serde_json::from_slice(&line)
+                .map(Some)
+                .map_err(|error| self.problem(json_problem(error))),
+        }
+    }
+
+    /// Reads the jobs that one transaction stores; none at the end of the file.
+    async fn batch(mut self) -> Result<(Lines, Vec<Line>), PortableError> {
+        on_blocking_thread(move || {
+            let mut batch = Vec::new();
+            while batch.len() < JOBS_PER_BATCH
+                && let Some(line) = self.next()?
+            {
+                batch.push(line);
+            }
+            Ok((self, batch))
+        })
+        .await
+    }
 }
 
 impl Portable {
-    /// Opens the data folder of one campaign and verifies it: its schema, every invariant, the
-    /// specification's digest, and that all jobs, results and workers are ones that this program
-    /// would have stored.
+    /// Reads and verifies a campaign: its specification, every invariant of its rows, and that all
+    /// rows and workers are ones that this program would have stored. `films` are the names and
+    /// sizes of its videos.
     ///
-    /// The database is untrusted. A view in place of a table, or a trigger, would run with the
-    /// first statement that touches it, so the schema is compared before any other statement.
-    pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
-        let foreign = schema::foreign_schema(&folder.join(DATABASE_FILE)).await;
-        if let Some(example) = foreign.doing("compare the schema of an archive")? {
-            let invariant = SCHEMA_INVARIANT;
-            return Err(PortableError::Violated { invariant, example });
-        }
+    /// The file is untrusted: each line is parsed as what it has to be, and the schema's constraints
+    /// and the invariants hold for what is stored of it.
+    pub async fn open(
+        folder: &Path,
+        spec: &str,
+        films: impl IntoIterator<Item = (&str, u64)>,
+    ) -> Result<Portable, PortableError> {
+        let film = |(path, bytes): (&str, u64)| {
+            let name = path.rsplit('/').next()?;
+            Some((film_attempt(name)?, (name.to_owned(), bytes)))
+        };
+        let films: Films = films.into_iter().filter_map(film).collect();
+        let spec = spec.to_owned();
+        let mut new = on_blocking_thread(move || NewCampaign::from_json(&spec)).await?;
+        let jobs = std::mem::take(&mut new.jobs).into_iter();
+        let mut expected: HashMap<(String, u32), String> =
+            jobs.map(|job| ((job.rollout_id, job.replicate), job.manifest_row)).collect();
+        let read = CampaignSpec::from_json(&new.spec).map_err(ExpandError::from)?;
+        let is_design = matches!(read.rollouts, Rollouts::Design(_));
+        let (head, mut lines) = Lines::open(folder)?;
         let store = Store::open(folder).await?;
+        let mut tx = store.write(Vec::new()).await?;
+        let name = new.name.as_str();
+        let id = portable::begin(&mut tx, &new, &head, name, head.created_ms).await;
+        let id = id.map_err(|error| violation(error, 1))?;
+        let (mut found, rollouts) = (0, expected.len() as u64);
+        loop {
+            let (rest, batch) = lines.batch().await?;
+            lines = rest;
+            if batch.is_empty() {
+                break;
+            }
+            for (line, number) in batch.iter().zip(found + 2..) {
+                let invalid = |problem| PortableError::Line { line: number, problem };
+                if let Some(error) = line.invalid_worker() {
+                    return Err(invalid(error.to_string()));
+                }
+                if is_design && let Some(problem) = contradiction(line, &mut expected) {
+                    return Err(invalid(problem));
+                }
+            }
+            let folder = campaign_folder(name);
+            portable::insert(&mut tx, id, &batch, (&folder, &films))
+                .await
+                .map_err(|error| violation(error, found + 2))?;
+            found += batch.len() as u64;
+        }
+        if is_design && found != rollouts {
+            return Err(PortableError::Rollouts { found, expected: rollouts });
+        }
+        portable::end(&mut tx, id, &new, &head).await.map_err(|error| violation(error, 1))?;
+        let results: i64 = sqlx::query_scalar("SELECT count(*) FROM artifact")
+            .fetch_one(&mut *tx)
+            .await
+            .doing("count the videos of an archive")?;
+        if results != films.len() as i64 {
+            return Err(PortableError::Films { results, films: films.len() });
+        }
+        tx.commit().await?;
         let mut reader = store.reader().await?;
         let violations = invariants::violations(&mut reader).await;
         let violations = violations.doing("verify the invariants of an archive")?;
@@ -100,28 +214,8 @@ impl Portable {
             let example = examples.into_iter().next().unwrap_or_default();
             return Err(PortableError::Violated { invariant, example });
         }
-        let portable = Portable::from_store(store).await?;
-        let mut view = portable.store.read().await?;
-        let id = portable.campaign.id;
-        match imported::contradiction(&mut view, id, &portable.spec).await? {
-            Some(error) => Err(error.into()),
-            None => Ok(portable),
-        }
-    }
-
-    pub(super) async fn from_store(store: Store) -> Result<Portable, PortableError> {
-        let mut view = store.read().await?;
-        let all = campaigns::all(&mut view).await?;
-        let [campaign] = all.as_slice() else {
-            return Err(PortableError::NotOne { count: all.len() });
-        };
-        let campaign = campaign.clone();
-        let spec = campaigns::spec(&mut view, campaign.id).await?;
-        drop(view);
-        if hex::encode(Sha256::digest(spec.as_bytes())) != campaign.spec_digest {
-            return Err(PortableError::SpecDigest { campaign: campaign.name });
-        }
-        Ok(Portable { store, campaign, spec })
+        let campaign = campaigns::by_id(&mut *store.read().await?, id).await?;
+        Ok(Portable { store, head, films, campaign, spec: new.spec })
     }
 
     pub fn folder(&self) -> &Path {
@@ -135,53 +229,95 @@ impl Portable {
         View::begin(&self.store, now, Timing::default(), None, filming, Arc::default()).await
     }
 
-    /// Returns the videos, by path; the database lists no other kind of artifact.
-    pub async fn films(&self) -> Result<Vec<FilmFile>, StoreError> {
-        let mut view = self.store.read().await?;
-        let films: Vec<(String, i64)> =
-            sqlx::query_as("SELECT path, size_bytes FROM artifact ORDER BY path")
-                .fetch_all(&mut *view)
-                .await
-                .doing("list a campaign's videos")?;
-        let film = |(path, size): (String, i64)| FilmFile { path, size_bytes: size.unsigned_abs() };
-        Ok(films.into_iter().map(film).collect())
+    /// Returns the number of videos.
+    pub fn films(&self) -> u64 {
+        self.films.len() as u64
     }
 
-    /// Removes the videos with these paths, whose files are missing, from the database.
-    pub async fn remove_missing_films(&self, missing: &[String]) -> Result<(), StoreError> {
-        let mut tx = self.store.write(Vec::new()).await?;
-        portable::remove_artifacts(&mut tx, missing).await?;
-        tx.commit().await
-    }
-
-    /// Closes the database, leaving a single file.
-    pub async fn close(self) -> Result<(), StoreError> {
-        self.store.close().await
+    /// Returns the campaign under a name.
+    fn named(&self, name: Option<&CampaignName>) -> Result<NewCampaign, QueueError> {
+        let name = name.unwrap_or(&self.campaign.name);
+        let renamed = altered(&self.spec, |spec| name.as_str().clone_into(&mut spec.name));
+        let new = renamed.and_then(|(spec, _)| NewCampaign::from_json(&spec));
+        new.map_err(|error| QueueError::Unspecified {
+            campaign: name.clone(),
+            problem: error.to_string(),
+        })
     }
 }
 
+/// Returns the attempt that a film's file name ends with.
+pub fn film_attempt(name: &str) -> Option<AttemptId> {
+    name.strip_suffix(".mp4")?.rsplit('.').next()?.parse().ok()
+}
+
+/// Returns the problem of a row that the campaign's specification does not give; `None` if it does.
+fn contradiction(line: &Line, expected: &mut HashMap<(String, u32), String>) -> Option<String> {
+    let key = (line.row.id.to_string(), line.replicate);
+    let Some(row) = expected.remove(&key) else {
+        return Some(format!(
+            "the campaign's specification has no rollout `{}` left in replicate {}",
+            key.0, key.1
+        ));
+    };
+    let is_expected =
+        NewJob::new(&line.row, line.replicate, 0).is_ok_and(|job| job.manifest_row == row);
+    (!is_expected).then(|| {
+        format!(
+            "the campaign's specification gives rollout `{}` another row; import the archive with \
+             the release that wrote it",
+            key.0
+        )
+    })
+}
+
+/// Names the lines whose rows a constraint of the schema refuses.
+fn violation(error: StoreError, line: u64) -> PortableError {
+    let problem = match &error {
+        StoreError::Statement { source, .. } => match &**source {
+            sqlx::Error::Database(refused) if is_constraint(refused.code()) => refused.to_string(),
+            sqlx::Error::Decode(refused) => refused.to_string(),
+            _ => return error.into(),
+        },
+        StoreError::Gone { .. } => return error.into(),
+    };
+    PortableError::Line {
+        line,
+        problem: format!("it or one of the next contradicts the schema ({problem})"),
+    }
+}
+
+/// Returns true for SQLite's code of a violated constraint, with or without its kind.
+fn is_constraint(code: Option<std::borrow::Cow<'_, str>>) -> bool {
+    let code = code.and_then(|code| code.parse::<u32>().ok());
+    code.is_some_and(|code| code & 0xff == 19)
+}
+
 impl Queue {
-    /// Copies the current state of a campaign into an empty folder, which becomes a data folder.
-    /// Leases end in the copy without a charge: their jobs wait again. Videos are not copied.
-    /// Returns the copy, and the folder of the videos below this coordinator's data folder.
+    /// Writes the current state of a campaign into an empty folder. Leases end in the copy without
+    /// a charge: their jobs wait again. Videos are not copied. Returns the verified copy and the
+    /// campaign's videos.
     pub async fn copy_campaign(
         &self,
         name: &CampaignName,
         into: &Path,
-    ) -> Result<(Portable, String), CopyError> {
+    ) -> Result<(Portable, Vec<FilmFile>), CopyError> {
         let mut view = self.view().await.map_err(QueueError::from)?;
         let campaign = view.campaign(name).await?;
         let spec = view.spec(&campaign).await.map_err(QueueError::from)?;
-        drop(view);
-        let target = CopyTarget {
-            name: campaign.name.clone(),
-            spec,
-            spec_digest: campaign.spec_digest.clone(),
-            folder: campaign.name.as_str().to_owned(),
+        let early = view.early_stop(&campaign).await.map_err(QueueError::from)?;
+        let head = Head {
+            priority: campaign.priority,
+            created_ms: campaign.created_ms,
+            state: campaign.state,
+            pinned: campaign.pinned_ms.zip(campaign.pin.clone()),
+            used: early.and_then(|early| early.used),
         };
-        let database = self.store().folder().join(DATABASE_FILE);
-        let copy = copy_into(&database, &campaign, &target, into).await?;
-        Ok((copy, campaign_folder(&campaign.folder)))
+        let films = view.write_jobs(&campaign, &head, &into.join(ROLLOUTS_FILE)).await?;
+        drop(view);
+        let listed = films.iter().map(|film| (film.name.as_str(), film.size_bytes));
+        let copy = Portable::open(into, &spec, listed).await?;
+        Ok((copy, films))
     }
 
     /// Returns the digest of the outcomes of the source campaign that a specification names; `None`
@@ -192,15 +328,13 @@ impl Queue {
         };
         let mut view = self.view().await?;
         let campaign = view.campaign(&source).await?;
-        drop(view);
-        let mut view = self.store().read().await?;
-        let outcomes = outcomes_digest(&mut view, &campaign).await?;
+        let outcomes = outcomes_digest(view.tx(), &campaign).await?;
         Ok(Some(SourceOutcomes { campaign: source.as_str().to_owned(), outcomes }))
     }
 
-    /// Imports the campaign of a data folder and moves its videos into this coordinator's data
-    /// folder. The campaign continues in its former state. Returns its name and the numbers of its
-    /// jobs by state. If this fails, the campaign is not added.
+    /// Imports the campaign of a folder and moves its videos into this coordinator's data folder.
+    /// The campaign continues in its former state. Returns its name and the numbers of its jobs by
+    /// state. If this fails, the campaign is not added.
     pub async fn adopt(
         &self,
         from: &Portable,
@@ -209,36 +343,37 @@ impl Queue {
     ) -> Result<(CampaignName, Counts), AdoptError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
-        let mut target = from.copy_target(name)?;
-        let films = from.films().await?;
+        let new = from.named(name)?;
         let newest = instants::newest(&mut *from.store.read().await?).await?;
         let mut context = Context::begin(shared, vec![]).await?;
         let ahead = newest.since(context.now);
         if ahead > MAX_AHEAD {
-            return Err(AdoptError::Ahead { campaign: target.name, seconds: ahead.as_secs() });
+            return Err(AdoptError::Ahead { campaign: new.name, seconds: ahead.as_secs() });
         }
-        if campaigns::by_name(&mut context.tx, &target.name).await?.is_some() {
-            return Err(AdoptError::Exists { campaign: target.name });
+        if campaigns::by_name(&mut context.tx, &new.name).await?.is_some() {
+            return Err(AdoptError::Exists { campaign: new.name });
         }
-        if let Some(source) = context.local_source(&target, source).await? {
+        if let Some(source) = context.local_source(&new, source).await? {
+            let budgets =
+                budgets::of_campaign(&mut *from.store.read().await?, from.campaign.id).await?;
             // Dropping the context releases the writer while many rows are read. The lock on
             // `campaigns` prevents creations and deletions meanwhile, and the manifest rows of a
             // campaign never change.
             drop(context);
-            let derived = (&from.store, from.campaign.id);
-            if !imported::has_budgets_of(derived, (&shared.store, source)).await? {
-                return Err(AdoptError::OtherBudgets { campaign: target.name });
+            let known = budgets::of_campaign(&mut *shared.store.read().await?, source).await?;
+            if !budgets.is_subset(&known) {
+                return Err(AdoptError::OtherBudgets { campaign: new.name });
             }
             context = Context::begin(shared, vec![]).await?;
         }
-        target.folder = campaigns::free_folder(&mut context.tx, &target.name).await?;
-        let folder = campaign_folder(&target.folder);
+        let name = campaigns::free_folder(&mut context.tx, &new.name).await?;
+        let folder = campaign_folder(&name);
         // Marks the folder for removal at the next start, in case the import does not complete.
         removal_marks::add(&mut context.tx, &folder).await?;
         context.commit().await?;
-        let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
+        let moved = move_films(from, &shared.store.folder().join(&folder)).await;
         let adopted = match moved {
-            Ok(()) => self.copy_rows(from, &target).await,
+            Ok(()) => self.insert_copy(from, &new, &name).await,
             Err(error) => Err(error),
         };
         if adopted.is_err() {
@@ -246,29 +381,29 @@ impl Queue {
         }
         let counts = adopted?;
         let jobs = counts.total();
-        tracing::info!(campaign = %target.name, jobs, results = counts.committed,
+        tracing::info!(campaign = %new.name, jobs, results = counts.committed,
             "campaign added from an archive");
         shared.work.notify_waiters();
-        Ok((target.name, counts))
+        Ok((new.name, counts))
     }
 
-    /// Copies a campaign in batches, so that workers are served in between; it stays hidden until
+    /// Stores a campaign in batches, so that workers are served in between; it stays hidden until
     /// it is complete.
-    async fn copy_rows(&self, from: &Portable, target: &CopyTarget) -> Result<Counts, AdoptError> {
+    async fn insert_copy(
+        &self,
+        from: &Portable,
+        new: &NewCampaign,
+        folder: &str,
+    ) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
-        let old = from.campaign.id;
-        let database = from.folder().join(DATABASE_FILE);
-        let mut attached = shared.store.attach(&database).await?;
-        let tx = attached.write(vec![Step::ImportCampaign]).await?;
-        let mut context = Context::within(shared, tx).await;
+        let mut context = Context::begin(shared, vec![Step::ImportCampaign]).await?;
         let now = context.now;
-        let id = portable::copy_without_jobs(&mut context.tx, old, target, now).await?;
+        let id = portable::begin(&mut context.tx, new, &from.head, folder, now).await?;
         hidden::hide_new(&mut context.tx, id).await?;
         let policy = context.campaign(id).await?.policy_id;
         context.cache.clear_campaigns();
         context.commit().await?;
-        attached.detach().await?;
-        let copied = self.copy_jobs(from, (id, old), target).await;
+        let copied = self.insert_jobs(from, id, new, folder).await;
         if copied.is_err()
             && let Err(error) = batches::remove(shared, id, policy).await
         {
@@ -280,41 +415,65 @@ impl Queue {
         copied
     }
 
-    /// Copies the jobs of campaign `old` in batches into the hidden campaign `id`, which then
-    /// becomes visible.
-    async fn copy_jobs(
+    /// Stores the jobs of the hidden campaign `id`, which then becomes visible.
+    async fn insert_jobs(
         &self,
         from: &Portable,
-        (id, old): (CampaignId, CampaignId),
-        target: &CopyTarget,
+        id: CampaignId,
+        new: &NewCampaign,
+        folder: &str,
     ) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
-        let database = &from.folder().join(DATABASE_FILE);
-        let mut view = from.store.read().await?;
-        let jobs = portable::jobs(&mut view, old).await?;
-        drop(view);
-        for batch in jobs.chunks(JOBS_PER_BATCH) {
-            let mut attached = shared.store.attach(database).await?;
-            let tx = attached.write(vec![Step::ImportCampaign]).await?;
-            let mut context = Context::within(shared, tx).await;
-            portable::copy_batch(&mut context.tx, (id, old), &target.folder, batch).await?;
+        let path = campaign_folder(folder);
+        let (_, mut lines) = Lines::open(from.folder())?;
+        loop {
+            let (rest, batch) = lines.batch().await?;
+            lines = rest;
+            if batch.is_empty() {
+                break;
+            }
+            let mut context = Context::begin(shared, vec![Step::ImportCampaign]).await?;
+            portable::insert(&mut context.tx, id, &batch, (&path, &from.films)).await?;
             context.commit().await?;
-            attached.detach().await?;
         }
-        let mut attached = shared.store.attach(database).await?;
-        let tx = attached.write(vec![Step::ImportCampaign]).await?;
-        let mut context = Context::within(shared, tx).await;
+        let mut context = Context::begin(shared, vec![Step::ImportCampaign]).await?;
         let now = context.now;
-        campaigns::take_name(&mut context.tx, &target.name).await?;
-        hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
-        portable::copy_stop_and_state(&mut context.tx, (id, old)).await?;
+        campaigns::take_name(&mut context.tx, &new.name).await?;
+        hidden::publish(&mut context.tx, id, (&new.name, folder), now).await?;
+        portable::end(&mut context.tx, id, new, &from.head).await?;
         context.settles = true;
         context.cache.clear_campaigns();
-        removal_marks::remove(&mut context.tx, &campaign_folder(&target.folder)).await?;
+        removal_marks::remove(&mut context.tx, &path).await?;
         let counts = Counts::read(&mut context.tx, id).await?;
         context.commit().await?;
-        attached.detach().await?;
         Ok(counts)
+    }
+}
+
+impl View {
+    /// Writes a campaign's state and jobs to a new file. Returns its videos, by name.
+    async fn write_jobs(
+        &mut self,
+        campaign: &Campaign,
+        head: &Head,
+        path: &Path,
+    ) -> Result<Vec<FilmFile>, PortableError> {
+        let mut file = BufWriter::new(File::create(path)?);
+        writeln!(file, "{}", serde_json::to_string(head).map_err(std::io::Error::from)?)?;
+        for batch in portable::jobs(self.tx(), campaign.id).await?.chunks(JOBS_PER_BATCH) {
+            for line in portable::lines(self.tx(), batch).await? {
+                writeln!(file, "{line}")?;
+            }
+        }
+        file.flush()?;
+        let name = |file| format!("{ARTIFACTS_FOLDER}/{}/{file}", campaign.name);
+        let film = |(file, path, size): (String, String, i64)| FilmFile {
+            name: name(file),
+            path,
+            size_bytes: size.unsigned_abs(),
+        };
+        let films = portable::films(self.tx(), campaign.id).await?;
+        Ok(films.into_iter().map(film).collect())
     }
 }
 
@@ -363,6 +522,8 @@ pub enum AdoptError {
     Film { path: PathBuf, source: std::io::Error },
     #[error(transparent)]
     Queue(#[from] QueueError),
+    #[error(transparent)]
+    Portable(#[from] PortableError),
 }
 
 impl From<StoreError> for AdoptError {
@@ -371,38 +532,18 @@ impl From<StoreError> for AdoptError {
     }
 }
 
-impl Portable {
-    /// Returns the copy's name, with its specification and digest under that name.
-    pub(super) fn copy_target(
-        &self,
-        name: Option<&CampaignName>,
-    ) -> Result<CopyTarget, QueueError> {
-        let name = name.unwrap_or(&self.campaign.name);
-        let (spec, spec_digest) = match *name == self.campaign.name {
-            true => (self.spec.clone(), self.campaign.spec_digest.clone()),
-            false => altered(&self.spec, |spec| name.as_str().clone_into(&mut spec.name)).map_err(
-                |error| QueueError::Unspecified {
-                    campaign: name.clone(),
-                    problem: error.to_string(),
-                },
-            )?,
-        };
-        Ok(CopyTarget { folder: name.as_str().to_owned(), name: name.clone(), spec, spec_digest })
-    }
-}
-
 impl Context<'_> {
     /// Returns this coordinator's campaign that an imported campaign derives from, after checking
     /// that its outcomes are the `expected` ones; `None` if the imported campaign is not derived.
     async fn local_source(
         &mut self,
-        target: &CopyTarget,
+        new: &NewCampaign,
         expected: Option<&SourceOutcomes>,
     ) -> Result<Option<CampaignId>, AdoptError> {
-        let Some(name) = source_of(&target.spec)? else {
+        let Some(name) = new.source.clone() else {
             return Ok(None);
         };
-        let campaign = target.name.clone();
+        let campaign = new.name.clone();
         let Some(source) = campaigns::by_name(&mut self.tx, &name).await? else {
             return Err(AdoptError::NoSource { campaign, source_campaign: name });
         };
@@ -414,24 +555,6 @@ impl Context<'_> {
     }
 }
 
-/// Copies a campaign from a database into a new database in an empty folder.
-async fn copy_into(
-    database: &Path,
-    campaign: &Campaign,
-    target: &CopyTarget,
-    into: &Path,
-) -> Result<Portable, PortableError> {
-    let store = Store::open(into).await?;
-    let mut attached = store.attach(database).await?;
-    let mut tx = attached.write(Vec::new()).await?;
-    portable::copy(&mut tx, campaign.id, target, campaign.created_ms).await?;
-    portable::erase_history(&mut tx).await?;
-    tx.commit().await?;
-    drop(attached);
-    store.compact().await?;
-    Portable::from_store(store).await
-}
-
 /// Returns the name of the campaign that a specification derives from, if there is one.
 fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     let spec = CampaignSpec::from_json(spec).map_err(undecodable);
@@ -441,14 +564,14 @@ fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> {
     Ok(name.doing("read the name of the source campaign")?)
 }
 
-/// Returns the SHA-256 of a campaign's outcomes, by published id: archives store it.
+/// Returns the SHA-256 of a campaign's outcomes: archives store it.
 async fn outcomes_digest(
     tx: &mut sqlx::SqliteConnection,
     campaign: &Campaign,
 ) -> Result<String, StoreError> {
     let mut lines = BTreeMap::new();
     for row in outcomes::of_campaign(tx, campaign.id).await? {
-        let id = row.record().map_err(undecodable).doing("read a rollout id")?.id.published();
+        let id = row.record().map_err(undecodable).doing("read a rollout id")?.id.to_string();
         let outcome = match row.outcome() {
             Outcome::Success => "success",
             Outcome::Failure => "failure",
@@ -460,17 +583,17 @@ async fn outcomes_digest(
     Ok(hex::encode(Sha256::digest(lines.into_values().collect::<String>())))
 }
 
-async fn move_films(from: &Path, films: &[FilmFile], to: &Path) -> Result<(), AdoptError> {
+async fn move_films(from: &Portable, to: &Path) -> Result<(), AdoptError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
         move |source| AdoptError::Film { path, source }
     };
-    if !films.is_empty() {
+    if !from.films.is_empty() {
         tokio::fs::create_dir_all(to).await.map_err(failed(to))?;
     }
-    for film in films {
-        let path = from.join(&film.path);
-        let name = path.file_name().unwrap_or_default();
+    let unpacked = from.folder().join(campaign_folder(from.campaign.name.as_str()));
+    for (name, _) in from.films.values() {
+        let path = unpacked.join(name);
         let moved = tokio::fs::rename(&path, to.join(name)).await;
         moved.map_err(failed(&path))?;
     }

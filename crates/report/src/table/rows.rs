@@ -2,10 +2,11 @@
 
 use std::io::Write;
 
-use benchmark::{Axis, Condition, Execution, JsonError};
+use benchmark::attempt::RolloutResult;
+use benchmark::{Axis, Condition, Execution, JsonError, Level, ManifestRow};
 use paired::adaptive::subsets::{Answer, Explained, MinimalSubset};
 use paired::{Matched, Outcome, Progress};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 
 use super::Kind::{Bool, Integer, Number, Real, Text};
 use super::{Column, Table, TableError, Value, columns, number, text};
@@ -178,11 +179,13 @@ pub(super) fn thresholds(document: &Document) -> Table<'_, OfThreshold<'_>> {
     }
 }
 
-#[derive(Debug, Deserialize)]
+/// A result in the reference's row format: its columns in its order, then the replicate and optional
+/// columns: the radius of a placebo, the execution model unless it is `wait`, the protocol of
+/// LIBERO's family or of a suite file, the goal's progress, and the prompt of a rollout with a
+/// protocol.
+#[derive(Debug, Serialize, Deserialize)]
 pub struct ResultRow {
     rollout_id: String,
-    #[serde(default)]
-    replicate: u32,
     success: bool,
     steps: u32,
     axis: String,
@@ -193,21 +196,59 @@ pub struct ResultRow {
     config: Option<u16>,
     policy: String,
     wall_s: f64,
+    #[serde(skip_serializing_if = "Option::is_none")]
     ik_res_mm: Option<f64>,
+    replicate: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
     placebo_radius: Option<f64>,
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "Execution::is_wait")]
     execution: Execution,
-    goal_predicates: Option<u32>,
-    goal_at_end: Option<u32>,
-    goal_at_most: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     protocol: Option<String>,
+    goal_predicates: u32,
+    goal_at_end: u32,
+    goal_at_most: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
     prompt: Option<String>,
 }
 
 impl ResultRow {
+    /// Returns the row of a policy's result.
+    pub fn new(row: ManifestRow, replicate: u32, policy: &str, result: &RolloutResult) -> Self {
+        let (id, task) = (row.id, row.id.task());
+        Self {
+            rollout_id: id.to_string(),
+            success: result.success,
+            steps: result.steps,
+            axis: id.condition().to_string(),
+            level: id.level().to_string(),
+            suite: task.suite().name().to_owned(),
+            task_id: task.index(),
+            init_id: row.init_id,
+            config: id.config(),
+            policy: policy.to_owned(),
+            wall_s: result.wall_secs,
+            ik_res_mm: result.ik.map(|ik| ik.residual_mm),
+            replicate,
+            placebo_radius: row.placebo_radius.map(Level::radius),
+            execution: row.execution,
+            protocol: row.protocol,
+            goal_predicates: result.goal.predicates,
+            goal_at_end: result.goal.at_end,
+            goal_at_most: result.goal.at_most,
+            // The prompt of a rollout of LIBERO-CTRL is the instruction of its manifest row.
+            prompt: result.prompt.clone().filter(|_| id.variant().is_some()),
+        }
+    }
+
     /// Parses a line of an export.
     pub fn from_json(line: &str) -> Result<Self, JsonError> {
         Ok(serde_json::from_str(line)?)
+    }
+
+    /// Returns the line of an export.
+    pub fn to_json(&self) -> Result<String, JsonError> {
+        Ok(serde_json::to_string(self)?)
     }
 }
 
@@ -232,9 +273,9 @@ pub fn write_results_parquet(
         ("ik_res_mm", Real, |row| Value::Real(row.ik_res_mm)),
         ("placebo_radius", Real, |row| Value::Real(row.placebo_radius)),
         ("execution", Text, |row| text(&row.execution)),
-        ("goal_predicates", Integer, |row| Value::Number(row.goal_predicates.map(i64::from))),
-        ("goal_at_end", Integer, |row| Value::Number(row.goal_at_end.map(i64::from))),
-        ("goal_at_most", Integer, |row| Value::Number(row.goal_at_most.map(i64::from))),
+        ("goal_predicates", Integer, |row| Value::Number(Some(row.goal_predicates.into()))),
+        ("goal_at_end", Integer, |row| Value::Number(Some(row.goal_at_end.into()))),
+        ("goal_at_most", Integer, |row| Value::Number(Some(row.goal_at_most.into()))),
         ("protocol", Text, |row| Value::Text(row.protocol.clone())),
         ("prompt", Text, |row| Value::Text(row.prompt.clone())),
     ]);
