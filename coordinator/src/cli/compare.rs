@@ -1,10 +1,10 @@
-//! `coordinator compare`: paired comparison of two policies over the rollouts that both have run.
+//! `coordinator compare`: paired comparisons of policies over the rollouts that both of a pair have run.
 
 use std::path::PathBuf;
 
 use anyhow::anyhow;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
-use report::{Comparison, Document, FamilyComparison, Subject};
+use report::{Document, FamilyComparison, Subject};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::json;
@@ -35,9 +35,12 @@ impl Args for Sources {
     fn augment_args(command: Command) -> Command {
         let campaigns = Arg::new("campaigns")
             .value_name("CAMPAIGN")
-            .num_args(0..=2)
+            .num_args(0..)
             .required_unless_present("from")
-            .help("Names of campaigns; the first of two is A, and the difference is A - B");
+            .help(
+                "Names of campaigns; the first of two is A, and the difference is A - B. Of more \
+                 than two, every pair is compared",
+            );
         let from = Arg::new("from")
             .long("from")
             .value_name("DIR")
@@ -76,10 +79,9 @@ impl FromArgMatches for Sources {
 
 pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandError> {
     let sources = arguments.sources.0;
-    if sources.len() != 2 {
-        let count = sources.len();
+    if sources.len() < 2 {
         return Err(usage(anyhow!(
-            "compare two policies: {count} given; name two campaigns, or folders with --from"
+            "compare policies: one given; name two campaigns or more, or folders with --from"
         )));
     }
     let mut subjects: Vec<Subject> = Vec::new();
@@ -99,18 +101,22 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     }
     if subjects.iter().any(|subject| subject.protocol.is_some()) {
         return Err(usage(anyhow!(
-            "compare a campaign of LIBERO's family with one of LIBERO-CTRL: they have no rollout in \
-             common; name two campaigns of one benchmark"
+            "compare a campaign of LIBERO's family with one of LIBERO-CTRL, or more than two: \
+             name two campaigns of one benchmark"
         )));
     }
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
-    let [a, b] = document.analyses.as_slice() else {
-        unreachable!("one analysis per subject");
+    let [Ok(comparison)] = document.comparisons() else {
+        if let [Err(refused)] = document.comparisons() {
+            return Err(anyhow::Error::from(refused.clone()).into());
+        }
+        return match arguments.json {
+            true => json::print(&document.comparisons().iter().flatten().collect::<Vec<_>>()),
+            false => Ok(print_line(document.pairs().trim_end())?),
+        };
     };
-    let setups = [&a.subject.setups, &b.subject.setups];
-    let comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
     match arguments.json {
-        true => json::print(&comparison),
+        true => json::print(comparison),
         false => Ok(print_line(comparison.text().trim_end())?),
     }
 }

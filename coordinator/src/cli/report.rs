@@ -2,11 +2,12 @@
 //! figures and tables.
 
 use std::ffi::OsStr;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use benchmark::Suite;
 use clap::Args;
+use benchmark::Suite;
 use report::{Document, Subject, write_csv, write_parquet};
 
 use super::command::{CommandError, Connection, print_line, usage};
@@ -17,6 +18,7 @@ const EXAMPLES: &str = "\
 Examples:
   coordinator report first
   coordinator report first --full --html report.html --table outcomes.csv
+  coordinator report first second --table paper.tex --figures figures
   coordinator report goal --published libero_goal:openvla=97.1";
 
 #[derive(Args, Debug)]
@@ -38,10 +40,12 @@ pub(super) struct ReportArguments {
     /// Write the report as one self-contained HTML page, which loads nothing from the network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Write the page's figures as SVG files into a folder.
+    /// Write the page's figures into a folder as SVG files, and as PDF files if `rsvg-convert` is
+    /// installed.
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
-    /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
+    /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet; or the report's
+    /// tables for a paper: FILE.tex.
     #[arg(long, value_name = "FILE", value_parser = parse_table)]
     table: Vec<(PathBuf, TableForm)>,
     /// Published nominal success of a policy, with which the report compares the measured one
@@ -62,11 +66,12 @@ struct Published {
     rate: f64,
 }
 
-/// File formats of the outcome table.
+/// File formats of tables.
 #[derive(Clone, Copy, Debug)]
 enum TableForm {
     Csv,
     Parquet,
+    Latex,
 }
 
 pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
@@ -165,7 +170,8 @@ fn parse_table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
     match path.extension().and_then(OsStr::to_str) {
         Some("csv") => Ok((path, TableForm::Csv)),
         Some("parquet") => Ok((path, TableForm::Parquet)),
-        _ => Err("name a file that ends with .csv or .parquet"),
+        Some("tex") => Ok((path, TableForm::Latex)),
+        _ => Err("name a file that ends with .csv, .parquet or .tex"),
     }
 }
 
@@ -174,6 +180,9 @@ fn write_table(document: &Document, path: &Path, form: TableForm) -> anyhow::Res
     let written = match form {
         TableForm::Csv => write_csv(document, file.writer()),
         TableForm::Parquet => write_parquet(document, file.writer()),
+        TableForm::Latex => {
+            file.writer().write_all(document.latex().as_bytes()).map_err(Into::into)
+        }
     };
     written.with_context(|| format!("write {}", path.display()))?;
     file.finish()?;

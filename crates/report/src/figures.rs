@@ -3,16 +3,14 @@
 //! figure takes a row of its own.
 //!
 //! Colour never carries meaning alone: transitions have marks, measures have
-//! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,
-//! Color Universal Design (2008), and, for the heat map, of ColorBrewer's YlGnBu
-//! (C. Brewer, 2002).
+//! shapes. Colours are those of M. Okabe and K. Ito, Color Universal Design (2008).
 
 mod differences;
-mod heat_map;
 mod interactions;
 mod lattice;
 mod levels;
 mod matrix;
+mod paper;
 mod survival;
 mod svg;
 mod upset;
@@ -27,11 +25,11 @@ use crate::document::Document;
 use crate::threshold_report::ThresholdReport;
 
 pub use self::lattice::{SubsetLink, lattice};
-pub use self::levels::{decomposition, directions};
+pub use self::levels::decomposition;
 pub use differences::differences;
-pub use heat_map::heat_map;
 pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
+pub use paper::{by_level, changes};
 pub use survival::survival;
 pub use svg::WIDTH;
 pub use upset::upset;
@@ -155,9 +153,9 @@ pub fn of_thresholds(report: &ThresholdReport) -> Vec<Figure> {
 pub fn all(document: &Document) -> Vec<Figure> {
     let mut figures = Vec::new();
     let levels = levels(document);
-    figures.extend(levels.iter().filter_map(|&level| heat_map(document, level)));
+    figures.extend(by_level(document));
+    figures.extend(levels.iter().filter_map(|&level| changes(document, level)));
     figures.extend(levels.iter().filter_map(|&level| decomposition(document, level)));
-    figures.extend(levels.iter().filter_map(|&level| directions(document, level)));
     for analysis in &document.analyses {
         let matrices = levels.iter().map(|&level| matrix(analysis, level, None));
         figures.extend(matrices.flatten());

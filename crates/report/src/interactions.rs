@@ -4,12 +4,12 @@
 
 use std::collections::BTreeMap;
 
-use benchmark::{Axis, AxisSet, Level, RolloutId};
-use paired::Bootstrap;
 use paired::adaptive::subsets::{
     CompleteLattice, Estimate, IncompleteLattice, Interactions, Lattice, LatticeError,
     configurations, own_configurations,
 };
+use benchmark::{Axis, AxisSet, Level, RolloutId};
+use paired::Bootstrap;
 use serde::{Serialize, Serializer};
 
 use crate::block::{self, Block, Cell, Rows, Section, cell};
@@ -122,7 +122,7 @@ impl AxisInteractions {
 
     /// Returns the section of a report in which the policy has this label.
     pub(crate) fn section<'a>(&'a self, label: &'a str) -> Section<'a> {
-        let notes = self.notes.iter().map(|note| Block::Claim(sentence(note)));
+        let notes = self.notes.iter().map(|note| Block::Paragraph(sentence(note)));
         let levels = self.levels.iter().flat_map(|level| level.blocks(label));
         Section {
             title: "Interactions of the axes".to_owned(),

@@ -5,13 +5,13 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use benchmark::attempt::{CONNECTED_SINCE, Fingerprints, Provenance, first_names};
 use benchmark::{Condition, Look, execution_at};
+use benchmark::attempt::{CONNECTED_SINCE, Fingerprints, Provenance, first_names};
 
 use crate::subject::{Subject, pluralise};
 
 /// The built-in asset pack, which is a different benchmark from LIBERO.
-const PRIMITIVES: &str = "primitives";
+pub(crate) const PRIMITIVES: &str = "primitives";
 /// End of the batch mode of a server that takes no seed.
 const UNSEEDED: &str = ", unseeded";
 /// Number of hexadecimal digits shown of a digest.

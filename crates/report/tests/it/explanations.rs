@@ -173,7 +173,7 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
     ] {
         assert!(html.contains(expected), "{expected}");
     }
-    for absent in ["Paired outcomes", "Nominal success", "NaN", "<b>"] {
+    for absent in ["Paired outcomes", "Success by suite", "NaN", "<b>"] {
         assert!(!html.contains(absent), "{absent}");
     }
     let text = document.text();
