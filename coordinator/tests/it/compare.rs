@@ -112,7 +112,14 @@ fn an_invalid_compare_command_exits_with_2_and_the_remedy() {
     check(&["compare"], "CAMPAIGN");
     check(&["compare", "--from", EXAMPLE], "two campaigns");
     check(&["compare", "one"], "two campaigns");
-    check(&["compare", "one", "two", "--from", EXAMPLE], "two campaigns");
+}
+
+#[test]
+fn every_pair_of_several_policies_is_compared() {
+    let three = ["compare", "--from", EXAMPLE, "--from", EXAMPLE, "--from", EXAMPLE];
+    assert!(succeed(coordinator(&three)).contains("A - B of every pair"));
+    let json = succeed_in_json(coordinator(&[&three[..], &["--json"]].concat()));
+    assert_eq!(json.as_array().map(Vec::len), Some(3));
 }
 
 /// Returns the comparison that `coordinator compare` makes of two campaigns of a bench.

@@ -7,16 +7,11 @@ use paired::{ComparedCell, Difference, MeanDifference, Profile, ProgressDifferen
 
 use crate::block::{Block, Cell, Rows, Table, cell, or_dash};
 use crate::comparison::{Comparison, Unpairable};
-use crate::figures;
-use crate::page::figure;
 use crate::page::findings::sentence;
 use crate::tables::{about_directions, difference, ends, gap, with_intervals};
 use crate::words::{p_value, percent, points, steps};
 
 type Row<'a> = (&'a ComparedCell, &'a Difference);
-
-const CAPTION: &str = "Difference of success over the same rollouts, in points: to the right of \
-    zero, A succeeds more often. Whiskers: 95 % intervals.";
 
 /// Returns the tables of a pair, or the differences of several pairs, and the reasons why others are
 /// not compared.
@@ -74,12 +69,10 @@ fn is_of_pairs(condition: Condition) -> bool {
 }
 
 impl Comparison {
-    /// Returns the figure and the tables.
+    /// Returns the tables.
     pub(crate) fn blocks(&self) -> Vec<Block<'_>> {
-        let drawn = || figure(CAPTION, figures::differences(self).into_iter().collect());
         let left_out = self.statistics.left_out().into_iter().map(Block::Paragraph);
         let mut blocks: Vec<Block<'_>> = left_out.collect();
-        blocks.push(Block::Html(Box::new(drawn)));
         let tasks = || self.tasks().folded();
         blocks.extend([self.success(), self.intervals(), self.by_task()].map(Block::Table));
         blocks.push(Block::Html(Box::new(tasks)));

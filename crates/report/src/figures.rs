@@ -5,8 +5,6 @@
 //! Colour never carries meaning alone: transitions have marks, measures have
 //! shapes. Colours are those of M. Okabe and K. Ito, Color Universal Design (2008).
 
-mod differences;
-mod interactions;
 mod lattice;
 mod levels;
 mod matrix;
@@ -26,8 +24,6 @@ use crate::threshold_report::ThresholdReport;
 
 pub use self::lattice::{SubsetLink, lattice};
 pub use self::levels::decomposition;
-pub use differences::differences;
-pub use interactions::{additive, interaction_matrix};
 pub use matrix::matrix;
 pub use paper::{by_level, changes};
 pub use survival::survival;
@@ -167,15 +163,6 @@ pub fn all(document: &Document) -> Vec<Figure> {
                 .extend(transitions.iter().filter_map(|transition| upset(findings, *transition)));
         }
         figures.extend(analysis.thresholds.iter().flat_map(of_thresholds));
-        for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
-            figures.extend([
-                interaction_matrix(&analysis.label, level),
-                additive(&analysis.label, level),
-            ]);
-        }
-    }
-    for pair in document.comparisons() {
-        figures.extend(pair.as_ref().ok().and_then(differences));
     }
     // Distinct labels can map to the same file name; files must not overwrite each other.
     let mut used_names = BTreeSet::new();

@@ -43,5 +43,5 @@ pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Quarantined, Setups, Subject, counted,
     rollout_name,
 };
-pub use table::{ResultRow, TableError, write_csv, write_parquet, write_results_parquet};
+pub use table::{TableError, write_csv, write_parquet, write_results_parquet};
 pub use threshold_report::{AtRadius, BudgetTooSmall, Kind, Measured, ThresholdReport};

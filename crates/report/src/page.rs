@@ -122,7 +122,6 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
              simultaneity. In brackets, 95 % intervals.",
             figures::decomposition,
         ),
-        Block::Table(tables::solvable(analyses)),
         Block::Table(tables::bounds(analyses)),
     ];
     let inference = [tables::targets, tables::tests, tables::floor, tables::losses];
@@ -143,9 +142,10 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
         let sentences = tables::replication(analysis).into_iter();
         sentences.map(move |sentence| named(analysis, sentence))
     });
-    let interactions = analyses
-        .iter()
-        .filter_map(|analysis| Some(analysis.interactions.as_ref()?.section(&analysis.label)));
+    let interactions = analyses.iter().filter_map(|analysis| {
+        let label = if analyses.len() > 1 { analysis.label.as_str() } else { "" };
+        Some(analysis.interactions.as_ref()?.section(label))
+    });
     let mut folded = vec![
         section("Differences between policies", pairs(document.comparisons())),
         section("Beside the paper's policies", beside),

@@ -144,6 +144,7 @@ fn differences(analysis: &Analysis) -> Vec<String> {
 /// Measured and published success, a row per policy and level.
 pub(crate) fn table(document: &Document) -> Table {
     let rows = points(document);
+    let differs = rows.iter().any(|of| !of.differs.is_empty());
     let mut table = Rows::new(format!("Beside the paper's policies, %. {}", PAPER.source), rows)
         .key("policy", |of| cell(&of.policy))
         .key("level", |of| cell(of.level))
@@ -156,6 +157,6 @@ pub(crate) fn table(document: &Document) -> Table {
         .column(Condition::Simultaneous.name(), "", "", |of| cell(percent(of.s_sim)))
         .column("R_e", "", "", |of| cell(percent(of.r_e)))
         .column("R_c", "", "", |of| cell(percent(of.r_c)))
-        .words("differs in", |of| cell(&of.differs))
+        .when(differs, |rows| rows.words("differs in", |of| cell(&of.differs)))
         .table()
 }

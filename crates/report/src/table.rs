@@ -10,7 +10,7 @@ mod rows;
 
 use std::io::Write;
 
-pub use self::rows::{ResultRow, write_results_parquet};
+pub use self::rows::write_results_parquet;
 use self::rows::{configurations, explanations, thresholds};
 use crate::document::Document;
 

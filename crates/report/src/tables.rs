@@ -73,11 +73,11 @@ pub(crate) fn with_intervals<R>(
         })
 }
 
-/// The measures over the configurations that `of` selects.
-fn paired(name: &str, analyses: &[Analysis], of: fn(&AtLevel) -> Option<&Measures>) -> Table {
+/// The measures over all complete configurations.
+pub(crate) fn complete(analyses: &[Analysis]) -> Table {
     let rows = levels(analyses).filter(|(_, at)| at.simultaneous.is_some());
     let rows: Vec<Row<'_, &Measures>> =
-        rows.filter_map(|(analysis, at)| Some((analysis, at, of(at)?))).collect();
+        rows.filter_map(|(analysis, at)| Some((analysis, at, at.paired.as_ref()?))).collect();
     let absent: Vec<_> = rows.iter().map(|(.., measures)| measures.no_interval).collect();
     let is_overstated = rows.iter().any(|(of, ..)| !of.report.overstated.is_empty());
     let replicates = analyses.first().map_or(0, |of| of.report.bootstrap.replicates);
@@ -87,7 +87,7 @@ fn paired(name: &str, analyses: &[Analysis], of: fn(&AtLevel) -> Option<&Measure
         }
         cell
     };
-    let table = of_levels(name, analyses, rows)
+    let table = of_levels("Paired outcomes of complete configurations", analyses, rows)
         .column("n", "", "complete configurations, whose outcomes are all known", |(_, at, m)| {
             let completeness = &at.completeness;
             let is_all = m.n == completeness.expected;
@@ -151,15 +151,13 @@ fn paired(name: &str, analyses: &[Analysis], of: fn(&AtLevel) -> Option<&Measure
         .column("McNemar p", "", "exact two-sided test of b against c", |(.., m)| {
             cell(p_value(m.mcnemar_p))
         })
-        .when(name == PAIRED, |rows| {
-            rows.column(
-                "detectable |I|",
-                "points",
-                "smallest |I| that a test at 5 % detects with a power of 80 %, given the number of \
-                 configurations and R_d",
-                |(_, at, _)| or_dash(at.minimum_detectable_i.map(percent)),
-            )
-        })
+        .column(
+            "detectable |I|",
+            "points",
+            "smallest |I| that a test at 5 % detects with a power of 80 %, given the number of \
+             configurations and R_d",
+            |(_, at, _)| or_dash(at.minimum_detectable_i.map(percent)),
+        )
         .when(is_overstated, |rows| {
             rows.note(
                 "*",
@@ -169,19 +167,6 @@ fn paired(name: &str, analyses: &[Analysis], of: fn(&AtLevel) -> Option<&Measure
         });
     with_intervals(table, replicates, absent).table()
 }
-
-/// The measures over all complete configurations.
-pub(crate) fn complete(analyses: &[Analysis]) -> Table {
-    paired(PAIRED, analyses, |at| at.paired.as_ref())
-}
-
-/// The measures over the configurations whose nominal rollout succeeds.
-pub(crate) fn solvable(analyses: &[Analysis]) -> Table {
-    let name = "Paired outcomes of solvable configurations, whose nominal rollout succeeds";
-    paired(name, analyses, |at| at.solvable.as_ref())
-}
-
-const PAIRED: &str = "Paired outcomes of complete configurations";
 
 /// Ranges of measures over all possible outcomes of quarantined rollouts.
 pub(crate) fn bounds(analyses: &[Analysis]) -> Table {
@@ -204,8 +189,8 @@ pub(crate) fn bounds(analyses: &[Analysis]) -> Table {
     .table()
 }
 
-/// Describes the rates of single seeds: `48.3 ± 19.0 of 3`, mean and standard deviation; empty
-/// without replicates.
+/// Describes the spread of the rates of single seeds: `± 19.0 of 3`, their standard deviation and
+/// number; empty without replicates.
 fn seeds(by_replicate: &BTreeMap<u32, Count>) -> String {
     let rates: Vec<f64> = by_replicate.values().filter_map(Count::rate).collect();
     let n = rates.len() as f64;
@@ -213,9 +198,7 @@ fn seeds(by_replicate: &BTreeMap<u32, Count>) -> String {
     let squares = rates.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>();
     match rates.len() {
         0 | 1 => String::new(),
-        count => {
-            format!("{} ± {} of {count}", percent(mean), percent((squares / (n - 1.0)).sqrt()))
-        }
+        count => format!("± {} of {count}", percent((squares / (n - 1.0)).sqrt())),
     }
 }
 
@@ -288,6 +271,9 @@ pub(crate) fn suites(
     };
     let of_seeds = |row: &_| of_seeds(row).filter(|seeds| !seeds.is_empty());
     let has_intervals = rows.iter().any(|(_, row)| row.ci95.is_some());
+    let has_mean = |row: &SuiteRow| row.suites.len() < 2 || row.mean() == row.all.rate();
+    let is_balanced = rows.iter().all(|(_, row)| has_mean(row));
+    let all = if is_balanced && suites.len() > 1 { "average" } else { "all" };
     let has_seeds = rows.iter().any(|row| of_seeds(row).is_some());
     let mut table = Rows::new(name, rows)
         .when(analyses.len() > 1, |rows| rows.key("policy", |(of, _)| cell(&of.label)))
@@ -298,12 +284,12 @@ pub(crate) fn suites(
         });
     }
     table
-        .when(suites.len() > 1, |rows| {
+        .when(!is_balanced, |rows| {
             rows.column("average", "", "mean of the suites", |(_, row)| {
                 or_dash(row.mean().map(percent))
             })
         })
-        .column("all", "", "all rollouts together", |(_, row)| or_dash(row.all.rate().map(percent)))
+        .column(all, "", "all rollouts together", |(_, row)| or_dash(row.all.rate().map(percent)))
         .when(has_intervals, |rows| {
             let note = "interval of the rate of all rollouts, about new tasks";
             rows.column("95 %", "", note, |(_, row)| ends(percent, row.ci95))
@@ -321,7 +307,7 @@ pub(crate) fn suites(
             if is_full { gap(n, missing, quarantined) } else { n }
         })
         .when(has_seeds, |rows| {
-            let note = "mean and standard deviation of the policy seeds, and their number";
+            let note = "standard deviation of the policy seeds' rates, and their number";
             rows.column("seeds", "", note, |row| or_dash(of_seeds(row)))
         })
         .when(is_full, |rows| {

@@ -2,6 +2,8 @@
 
 use super::{Block, Cell, Kind, Table};
 
+/// Most columns of a table that is not turned, unless it has even more rows.
+const MOST_COLUMNS: usize = 13;
 /// Shrinks a table that is wider than the text.
 const FITTING: &str = "\\resizebox{\\ifdim\\width>\\linewidth\\linewidth\\else\\width\\fi}{!}";
 
@@ -18,39 +20,60 @@ pub(crate) fn latex<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>)
 }
 
 impl Table {
+    /// Writes the table; one of many columns and few rows gets a column per record.
     fn latex(&self) -> String {
-        let columns: String =
-            self.columns.iter().map(|of| if of.kind == Kind::Number { 'r' } else { 'l' }).collect();
-        let heads: Vec<String> = self.columns.iter().map(|of| escaped(&of.head())).collect();
+        let records: Vec<Vec<Vec<String>>> =
+            self.rows.iter().map(|row| row.iter().map(Cell::lines).collect()).collect();
+        let is_turned = self.columns.len() > MOST_COLUMNS && self.rows.len() < self.columns.len();
+        let lines = match is_turned {
+            true => self.turned(&records),
+            false => {
+                let heads = self.columns.iter().map(|column| vec![column.head()]).collect();
+                [heads].into_iter().chain(records).collect()
+            }
+        };
+        let heads = if is_turned { self.keys() } else { 1 };
+        let columns: String = match is_turned {
+            true => format!("l{}", "r".repeat(self.rows.len())),
+            false => {
+                let columns = self.columns.iter();
+                columns.map(|of| if of.kind == Kind::Number { 'r' } else { 'l' }).collect()
+            }
+        };
         let mut previous = "";
-        let rows = self.rows.iter().map(|row| {
-            let repeats = row.len() > 2 && row[0].text == previous;
-            previous = &row[0].text;
+        let rows = lines.iter().enumerate().map(|(index, row)| {
+            let name = row[0].first().map_or("", String::as_str);
             // A name stands in the first of its rows only.
-            let cells = row.iter().enumerate().map(|(index, cell)| match repeats && index == 0 {
-                true => String::new(),
-                false => cell.latex(),
-            });
-            format!("{} \\\\\n", cells.collect::<Vec<_>>().join(" & "))
+            let repeats = self.keys() > 1 && !is_turned && name == previous;
+            previous = name;
+            let cells = row.iter().skip(usize::from(repeats)).map(|lines| latex_cell(lines));
+            let cells = repeats.then(String::new).into_iter().chain(cells);
+            let rule = if index + 1 == heads { "\\midrule\n" } else { "" };
+            format!("{} \\\\\n{rule}", cells.collect::<Vec<_>>().join(" & "))
         });
         let rows: String = rows.collect();
         let notes = self.meanings().map(|(symbol, meaning)| format!(" {symbol}: {meaning}."));
         format!(
             "\\begin{{table}}\n\\centering\n\\caption{{{}.{}}}\n{FITTING}{{%\n\\begin{{tabular}}{{{columns}}}\n\
-             \\toprule\n{} \\\\\n\\midrule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\\end{{table}}\n",
+             \\toprule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\\end{{table}}\n",
             escaped(&self.name),
             escaped(&notes.collect::<String>()),
-            heads.join(" & "),
         )
+    }
+
+    fn keys(&self) -> usize {
+        self.columns.iter().filter(|column| column.kind == Kind::Key).count()
     }
 }
 
-impl Cell {
-    fn latex(&self) -> String {
-        let lines = self.below.iter().map(|line| format!("\\\\\\scriptsize {}", escaped(line)));
-        match lines.collect::<String>() {
-            below if below.is_empty() => escaped(&self.text),
-            below => format!("\\shortstack[r]{{{}{below}}}", escaped(&self.text)),
+fn latex_cell(lines: &[String]) -> String {
+    match lines {
+        [] => String::new(),
+        [only] => escaped(only),
+        [first, below @ ..] => {
+            let below = below.iter().map(|line| format!("\\\\\\scriptsize {}", escaped(line)));
+            let below: String = below.collect();
+            format!("\\begin{{tabular}}[t]{{@{{}}r@{{}}}}{}{below}\\end{{tabular}}", escaped(first))
         }
     }
 }

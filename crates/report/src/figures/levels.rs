@@ -41,7 +41,7 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
         (name(244.0, "I"))
         (square(274.0, y, "mark"))
         (name(284.0, "S_sim"))
-        (scale.axis([top, bottom], &percent_ticks([0.0, 1.0], 0.25, false), &axis))
+        (scale.axis([top, bottom], &percent_ticks([0.0, 1.0], 0.25), &axis))
         @for (index, (name, measures)) in rows.iter().enumerate() {
             @let top = top + ROW_HEIGHT * index as f64;
             g {

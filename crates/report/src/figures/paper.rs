@@ -106,7 +106,7 @@ pub fn by_level(document: &Document) -> Option<Figure> {
     };
     let title = "Simultaneous success by level, measured and published";
     let words = [title, "Simultaneous success, %", "whiskers: 95 %", "level"];
-    let shares = percent_ticks([0.0, 1.0], 0.25, false);
+    let shares = percent_ticks([0.0, 1.0], 0.25);
     Some(plot.figure("paper-success", words, [&columns, &shares], &body))
 }
 
@@ -137,6 +137,6 @@ pub fn changes(document: &Document, level: Level) -> Option<Figure> {
     let title = format!("Emergent failures against compensated successes at {level}");
     let head = format!("{level}: R_e emergent, %");
     let words = [title.as_str(), &head, "above the line: I < 0", "R_c compensated, %"];
-    let ticks = percent_ticks([0.0, end], step, false);
+    let ticks = percent_ticks([0.0, end], step);
     Some(plot.figure(&format!("paper-changes-{level}"), words, [&ticks, &ticks], &body))
 }

@@ -36,12 +36,7 @@ pub(super) fn methods(document: &Document) -> Markup {
                 " bootstrap replicates that resample whole tasks (ChaCha12, seed "
                 (bootstrap.seed) "). Fewer than "
                 (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too \
-                narrow: for normally distributed tasks, a nominal 95 % interval covers the \
-                truth in 50 % of cases for two tasks, 85 % for five, 90 % for ten and 94 % for \
-                forty (Hesterberg, The American Statistician 69, 2015; Cameron, Gelbach and \
-                Miller, Review of Economics and Statistics 90, 2008). A measure that no \
-                resampling changes gets no interval either (“no spread”): an interval without \
-                width would say nothing about the uncertainty of the measure."
+                narrow, and neither does a measure that no resampling changes (“no spread”)."
             }
             @if is_paired { " Incomplete configurations are in no paired figure." }
             " Rollouts that infrastructure \

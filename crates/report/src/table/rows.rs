@@ -3,9 +3,9 @@
 use std::io::Write;
 
 use paired::adaptive::subsets::{Answer, Explained, MinimalSubset};
-use benchmark::{Axis, Condition, Execution, JsonError};
+use benchmark::{Axis, Condition};
 use paired::{Matched, Outcome, Progress};
-use serde::Deserialize;
+use serde_json::Value as Json;
 
 use super::Kind::{Bool, Integer, Number, Real, Text};
 use super::{Column, Table, TableError, Value, columns, number, text};
@@ -178,65 +178,45 @@ pub(super) fn thresholds(document: &Document) -> Table<'_, OfThreshold<'_>> {
     }
 }
 
-#[derive(Debug, Deserialize)]
-pub struct ResultRow {
-    rollout_id: String,
-    #[serde(default)]
-    replicate: u32,
-    success: bool,
-    steps: u32,
-    axis: String,
-    level: String,
-    suite: String,
-    task_id: u8,
-    init_id: u16,
-    config: Option<u16>,
-    policy: String,
-    wall_s: f64,
-    ik_res_mm: Option<f64>,
-    placebo_radius: Option<f64>,
-    #[serde(default)]
-    execution: Execution,
-    goal_predicates: Option<u32>,
-    goal_at_end: Option<u32>,
-    goal_at_most: Option<u32>,
-    protocol: Option<String>,
-    prompt: Option<String>,
-}
-
-impl ResultRow {
-    /// Parses a line of an export.
-    pub fn from_json(line: &str) -> Result<Self, JsonError> {
-        Ok(serde_json::from_str(line)?)
-    }
-}
-
-/// Writes result rows as Parquet, as [`write_parquet`](super::write_parquet) does.
-pub fn write_results_parquet(
-    rows: Vec<ResultRow>,
-    out: impl Write + Send,
-) -> Result<(), TableError> {
-    let columns = columns::<ResultRow, _>([
-        ("rollout_id", Text, |row| text(&row.rollout_id)),
-        ("replicate", Number, |row| number(row.replicate)),
-        ("success", Bool, |row| Value::Bool(Some(row.success))),
-        ("steps", Number, |row| number(row.steps)),
-        ("axis", Text, |row| text(&row.axis)),
-        ("level", Text, |row| text(&row.level)),
-        ("suite", Text, |row| text(&row.suite)),
-        ("task_id", Number, |row| number(row.task_id)),
-        ("init_id", Number, |row| number(row.init_id)),
-        ("config", Integer, |row| Value::Number(row.config.map(i64::from))),
-        ("policy", Text, |row| text(&row.policy)),
-        ("wall_s", Real, |row| Value::Real(Some(row.wall_s))),
-        ("ik_res_mm", Real, |row| Value::Real(row.ik_res_mm)),
-        ("placebo_radius", Real, |row| Value::Real(row.placebo_radius)),
-        ("execution", Text, |row| text(&row.execution)),
-        ("goal_predicates", Integer, |row| Value::Number(row.goal_predicates.map(i64::from))),
-        ("goal_at_end", Integer, |row| Value::Number(row.goal_at_end.map(i64::from))),
-        ("goal_at_most", Integer, |row| Value::Number(row.goal_at_most.map(i64::from))),
-        ("protocol", Text, |row| Value::Text(row.protocol.clone())),
-        ("prompt", Text, |row| Value::Text(row.prompt.clone())),
-    ]);
-    Table { name: "results", columns, rows }.parquet(out)
+/// Writes exported result rows as Parquet, as [`write_parquet`](super::write_parquet) does.
+pub fn write_results_parquet(rows: Vec<Json>, out: impl Write + Send) -> Result<(), TableError> {
+    let columns = [
+        ("rollout_id", Text),
+        ("replicate", Number),
+        ("success", Bool),
+        ("steps", Number),
+        ("axis", Text),
+        ("level", Text),
+        ("suite", Text),
+        ("task_id", Number),
+        ("init_id", Number),
+        ("config", Integer),
+        ("policy", Text),
+        ("wall_s", Real),
+        ("ik_res_mm", Real),
+        ("placebo_radius", Real),
+        ("execution", Text),
+        ("goal_predicates", Integer),
+        ("goal_at_end", Integer),
+        ("goal_at_most", Integer),
+        ("protocol", Text),
+        ("prompt", Text),
+    ];
+    let columns = columns.map(|(name, kind)| -> Column<'_, Json> {
+        let value = move |row: &Json| {
+            let value = &row[name];
+            match kind {
+                // Rows of earlier exports leave out replicate 0.
+                Number => number(value.as_i64().unwrap_or_default()),
+                Integer => Value::Number(value.as_i64()),
+                Real => Value::Real(value.as_f64()),
+                Bool => Value::Bool(value.as_bool()),
+                // An export leaves out the execution model `wait`.
+                Text if name == "execution" => text(value.as_str().unwrap_or("wait")),
+                Text => Value::Text(value.as_str().map(str::to_owned)),
+            }
+        };
+        (name.to_owned(), kind, Box::new(value))
+    });
+    Table { name: "results", columns: columns.into(), rows }.parquet(out)
 }
