@@ -27,6 +27,11 @@ SUCCESS = {
     **of(COUNT, "missing quarantined"),
 }  # fmt: skip
 
+SUITES = {
+    **of(TEXT, "policy level condition suite"), **of(COUNT, "successes n"),
+    **of(NUMBER, "rate ci95_low ci95_high"),
+}  # fmt: skip
+
 PAIRED = {
     **of(TEXT, "policy level"), **of(COUNT, "n tasks"),
     **of(NUMBER, " ".join(f"s_{axis}" for axis in AXES)), **of(NUMBER, "s_indep s_conj s_sim"),
@@ -72,6 +77,9 @@ class Report:
     #: A row per policy, level and condition (`nominal` at L0, each axis alone,
     #: `simultaneous`): successes of n rollouts, and rollouts without an outcome.
     success: pd.DataFrame = field(repr=False)
+    #: A row per policy, level, condition and suite, and a row of all suites (`all`), whose rate has
+    #: an interval about new tasks.
+    suites: pd.DataFrame = field(repr=False)
     #: A row per policy and level: the protocol's paired measures with the ends of
     #: their 95 % intervals.
     paired: pd.DataFrame = field(repr=False)
@@ -135,6 +143,7 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
             for note in subject["notes"]
         ),
         success=frames.frame(_success(document), SUCCESS),
+        suites=frames.frame(_suites(document), SUITES),
         paired=frames.frame(_paired(document), PAIRED),
         configurations=rows,
     )
@@ -187,6 +196,17 @@ def _success(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 yield {"policy": policy, "level": cell["level"], "condition": condition, **counts}
 
 
+def _suites(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
+    for subject in document["reports"]:
+        for row in subject["success"]:
+            names = {
+                "policy": subject["label"], "level": row["level"], "condition": row["condition"]
+            }  # fmt: skip
+            for suite, count in row["suites"].items():
+                yield {**names, "suite": suite, **_counts(count, None)}
+            yield {**names, "suite": "all", **_counts(row["all"], None), **_ends(row, "")}
+
+
 def _counts(count: Mapping[str, int], gap: Mapping[str, int] | None) -> dict[str, Any]:
     n = count["n"]
     gap = gap or {}
@@ -229,5 +249,6 @@ def _cell(cell: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _ends(measures: Mapping[str, Any], name: str) -> dict[str, float | None]:
-    low, high = measures.get(f"{name}_ci95") or (None, None)
-    return {f"{name}_ci95_low": low, f"{name}_ci95_high": high}
+    key = f"{name}_ci95".lstrip("_")
+    low, high = measures.get(key) or (None, None)
+    return {f"{key}_low": low, f"{key}_high": high}

@@ -1,17 +1,19 @@
-//! `coordinator compare`: paired comparison of two policies over the rollouts that both have run.
+//! `coordinator compare`: paired comparisons of policies over the rollouts that both of a pair have
+//! run.
 
 use anyhow::anyhow;
 use clap::Args;
-use report::{Comparison, Document, FamilyComparison};
+use report::{Document, FamilyComparison};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::json;
 
 #[derive(Args, Debug)]
 pub(super) struct CompareArguments {
-    /// The two policies, A and B, each a campaign's name, or a folder with a `rollouts.jsonl`, or
-    /// that file, whose path has a `/`; the difference is A - B.
-    #[arg(value_name = "CAMPAIGN_OR_PATH", num_args = 2, required = true)]
+    /// The policies, each a campaign's name, or a folder with a `rollouts.jsonl`, or that file,
+    /// whose path has a `/`. Of two, A and B, the difference is A - B; of more, every pair is
+    /// compared.
+    #[arg(value_name = "CAMPAIGN_OR_PATH", num_args = 2.., required = true)]
     sources: Vec<String>,
     /// Print JSON instead of a table.
     #[arg(long)]
@@ -32,18 +34,22 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     }
     if subjects.iter().any(|subject| subject.protocol.is_some()) {
         return Err(usage(anyhow!(
-            "compare a campaign of LIBERO's family with one of LIBERO-CTRL: they have no rollout in \
-             common; name two campaigns of one benchmark"
+            "compare a campaign of LIBERO's family with one of LIBERO-CTRL, or more than two: \
+             name two campaigns of one benchmark"
         )));
     }
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
-    let [a, b] = document.analyses.as_slice() else {
-        unreachable!("one analysis per subject");
+    let [Ok(comparison)] = document.comparisons() else {
+        if let [Err(refused)] = document.comparisons() {
+            return Err(anyhow::Error::from(refused.clone()).into());
+        }
+        return match arguments.json {
+            true => json::print(&document.comparisons().iter().flatten().collect::<Vec<_>>()),
+            false => Ok(print_line(document.pairs().trim_end())?),
+        };
     };
-    let setups = [&a.subject.setups, &b.subject.setups];
-    let comparison = Comparison::of([a, b], setups).map_err(anyhow::Error::from)?;
     match arguments.json {
-        true => json::print(&comparison),
+        true => json::print(comparison),
         false => Ok(print_line(comparison.text().trim_end())?),
     }
 }

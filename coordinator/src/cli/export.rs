@@ -7,7 +7,7 @@ use anyhow::{Context, anyhow};
 use clap::Args;
 use coordinator::client::{Client, Service};
 use proto::coordinator::ExportRequest;
-use report::{ResultRow, write_results_parquet};
+use report::write_results_parquet;
 use terminal::counted;
 
 use super::command::{CommandError, Connection, usage};
@@ -90,7 +90,7 @@ async fn write_table(
     let mut lines = client.call(request, Service::export).await?;
     let mut rows = Vec::new();
     while let Some(line) = client.next(&mut lines).await? {
-        rows.push(ResultRow::from_json(&line.json).context("read a result")?);
+        rows.push(serde_json::from_str(&line.json).context("read a result")?);
     }
     let count = rows.len() as u64;
     write_results_parquet(rows, out).context("write the results")?;

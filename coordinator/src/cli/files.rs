@@ -4,6 +4,7 @@ use std::fs::{File, Permissions};
 use std::io::{BufWriter, Read, Write};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
 use anyhow::{Context, anyhow};
 use benchmark::{CampaignSpec, ManifestRow, SuiteFile, manifest};
@@ -67,15 +68,27 @@ pub(super) fn write_atomically(path: &Path, bytes: &[u8]) -> anyhow::Result<()> 
     file.finish()
 }
 
-/// Writes figures as SVG files into a folder, which is created if missing.
+/// Writes figures as SVG files into a folder, which is created if missing, and as PDF files if
+/// `rsvg-convert` is installed.
 pub(super) fn write_figures(figures: &[Figure], folder: &Path) -> anyhow::Result<()> {
     std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
+    let mut form = "SVG and PDF";
     for figure in figures {
         let path = folder.join(format!("{}.svg", figure.name));
         write_atomically(&path, figure.standalone().as_bytes())?;
+        let mut converter = Command::new("rsvg-convert");
+        converter.args(["--format=pdf", "--output"]).arg(path.with_extension("pdf")).arg(&path);
+        match converter.status() {
+            Ok(status) if status.success() => {}
+            Ok(status) => {
+                let path = path.display();
+                return Err(anyhow!("convert {path} to PDF: `rsvg-convert` ended with {status}"));
+            }
+            Err(_) => form = "SVG (for PDF, install `rsvg-convert`)",
+        }
     }
     let count = counted(figures.len() as u64, "figure");
-    eprintln!("wrote {count} to {}", folder.display());
+    eprintln!("wrote {count} as {form} to {}", folder.display());
     Ok(())
 }
 

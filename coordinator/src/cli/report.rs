@@ -2,6 +2,7 @@
 //! figures and tables.
 
 use std::ffi::OsStr;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
@@ -18,6 +19,7 @@ Examples:
   coordinator report first
   coordinator report first examples/openvla_oft
   coordinator report first --full --html report.html --table outcomes.csv
+  coordinator report first second --table paper.tex --figures figures
   coordinator report goal --published libero_goal:openvla=97.1";
 
 #[derive(Args, Debug)]
@@ -37,10 +39,12 @@ pub(super) struct ReportArguments {
     /// Write the report as one self-contained HTML page, which loads nothing from the network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
-    /// Write the page's figures as SVG files into a folder.
+    /// Write the page's figures into a folder as SVG files, and as PDF files if `rsvg-convert` is
+    /// installed.
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
-    /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
+    /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet; or the report's
+    /// tables for a paper: FILE.tex.
     #[arg(long, value_name = "FILE", value_parser = parse_table)]
     table: Vec<(PathBuf, TableForm)>,
     /// Published nominal success of a policy, with which the report compares the measured one
@@ -61,11 +65,12 @@ struct Published {
     rate: f64,
 }
 
-/// File formats of the outcome table.
+/// File formats of tables.
 #[derive(Clone, Copy, Debug)]
 enum TableForm {
     Csv,
     Parquet,
+    Latex,
 }
 
 pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandError> {
@@ -155,7 +160,8 @@ fn parse_table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
     match path.extension().and_then(OsStr::to_str) {
         Some("csv") => Ok((path, TableForm::Csv)),
         Some("parquet") => Ok((path, TableForm::Parquet)),
-        _ => Err("name a file that ends with .csv or .parquet"),
+        Some("tex") => Ok((path, TableForm::Latex)),
+        _ => Err("name a file that ends with .csv, .parquet or .tex"),
     }
 }
 
@@ -164,6 +170,9 @@ fn write_table(document: &Document, path: &Path, form: TableForm) -> anyhow::Res
     let written = match form {
         TableForm::Csv => write_csv(document, file.writer()),
         TableForm::Parquet => write_parquet(document, file.writer()),
+        TableForm::Latex => {
+            file.writer().write_all(document.latex().as_bytes()).map_err(Into::into)
+        }
     };
     written.with_context(|| format!("write {}", path.display()))?;
     file.finish()?;

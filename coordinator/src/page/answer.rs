@@ -111,6 +111,6 @@ mod tests {
             classes.filter(|selector| selector.chars().all(|c| c.is_alphanumeric() || c == '-'));
         let mut conflicting = single_classes.filter(|class| is_in_figures(class));
         assert_eq!(conflicting.next(), None);
-        assert!(is_in_figures("bar"), "the figures' rules are not found");
+        assert!(is_in_figures("emergent"), "the figures' rules are not found");
     }
 }

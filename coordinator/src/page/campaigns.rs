@@ -5,7 +5,7 @@ use queue::read::{CampaignStatus, Stage};
 
 use super::bar::{bar, describe, legend};
 use super::compare;
-use super::layout::{Sheet, Tab};
+use super::layout::{Sheet, Tab, table};
 use super::problem::Problem;
 use super::state::Page;
 use crate::words::{duration_text, rate_text};
@@ -15,6 +15,12 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     // Newest first, since visitors usually want the campaign that was created last.
     campaigns.reverse();
     let names: Vec<String> = campaigns.iter().map(|status| status.name.clone()).collect();
+    // Ended campaigns take a line each, so that a hundred of them leave the others in sight.
+    let has_ended = |status: &CampaignStatus| {
+        let state = status.state;
+        (state.is_over() || state == Stage::Finished) && status.rollouts.quarantined == 0
+    };
+    let (ended, current): (Vec<_>, Vec<_>) = campaigns.iter().partition(|of| has_ended(of));
     let main = html! {
         h1 { "Campaigns" }
         (compare::form(&names, [None, None]))
@@ -24,14 +30,31 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
                 a policy, tasks, axes and levels."
             }
         }
-        @for status in &campaigns {
+        @for status in current {
             section.campaign aria-label=(status.name) {
                 h2 { a href={ "/campaigns/" (status.name) } { (status.name) } }
                 (progress(status))
             }
         }
+        @if !ended.is_empty() {
+            h2 { "Ended" }
+            @let rows = html! { @for status in ended { (row(status)) } };
+            (table("Ended campaigns", &["campaign", ".policy", "rollouts", ".state"], &rows))
+        }
     };
     Ok(Sheet::new(Tab::Campaigns, "Campaigns", main))
+}
+
+/// Renders an ended campaign as a row.
+fn row(status: &CampaignStatus) -> Markup {
+    html! {
+        tr {
+            th scope="row" { a href={ "/campaigns/" (status.name) } { (status.name) } }
+            td.words { (status.policy) }
+            td { (status.rollouts.committed) " of " (status.rollouts.total()) }
+            td.words { (describe_pace(status)) }
+        }
+    }
 }
 
 /// Renders the progress of one campaign: pace, bar, counts, and notes on the reasons why it makes

@@ -112,7 +112,7 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
         ("/", &["Campaigns", "begun", "50 %", "2 of 4 rollouts", "expert"][..]),
         (
             "/campaigns/begun",
-            &["Progress by condition", "camera", "sensor", "simultaneous", "nominal", "1 missing"],
+            &["Success by suite", "camera", "sensor", "simultaneous", "nominal", "1 missing"],
         ),
         (
             configuration,

@@ -230,11 +230,11 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).to_string_lossy().into_owned();
     let (html, figures, csv) = (path("report.html"), path("figures"), path("table.csv"));
-    let parquet = path("table.parquet");
+    let (parquet, latex) = (path("table.parquet"), path("table.tex"));
     #[rustfmt::skip]
     let json = succeed_in_json(coordinator(&[
         "report", EXAMPLE, "--json", "--html", &html, "--figures", &figures,
-        "--table", &csv, "--table", &parquet,
+        "--table", &csv, "--table", &parquet, "--table", &latex,
     ]));
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
     assert_eq!((&l2["b"], &l2["c"]), (&json!(54), &json!(55)));
@@ -243,7 +243,14 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
     assert_eq!(text(&read(&csv)).lines().count(), 1 + 1200);
     assert!(read(&parquet).starts_with(b"PAR1"));
     let written = std::fs::read_dir(&figures).expect("a folder");
-    assert_eq!(written.count(), 4 * 3);
+    let names = written.map(|entry| entry.expect("an entry").path());
+    let is_svg = |path: &std::path::PathBuf| path.extension() == Some("svg".as_ref());
+    let (svg, pdf): (Vec<_>, Vec<_>) = names.partition(is_svg);
+    assert_eq!(svg.len(), 1 + 3 * 3);
+    for path in pdf {
+        assert!(std::fs::read(path).expect("read").starts_with(b"%PDF"));
+    }
+    assert!(text(&read(&latex)).contains("L2 simultaneous & 64.0 & 62.0 & 50.0 & 55.0 & 57.8"));
 
     let output = coordinator(&["report", EXAMPLE]);
     let table = text(&output.stdout);

@@ -93,22 +93,25 @@ impl Claims {
 /// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     let nominal = report.nominal.as_ref()?;
+    let rows = report.suite_rows();
+    let rate = |condition, level| {
+        let row = rows.iter().find(|row| row.condition == condition && row.level == level)?;
+        let interval = row.ci95.map_or_else(String::new, |[low, high]| {
+            format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
+        });
+        Some((percent(row.all.rate()), interval, row.all.n)).filter(|(.., n)| *n > 0)
+    };
     let seeds = seeds(&nominal.by_replicate);
-    let mut sentence = match nominal.count.n {
-        0 => "No nominal rollout has an outcome yet".to_owned(),
-        n => {
-            format!("Nominally, {} % of {n} rollouts{seeds} succeed", percent(nominal.count.rate()))
+    let mut sentence = match rate(Condition::Nominal, Level::L0) {
+        None => "No nominal rollout has an outcome yet".to_owned(),
+        Some((rate, interval, n)) => {
+            format!("Nominally, {rate} %{interval} of {n} rollouts{seeds} succeed")
         }
     };
     let at_levels = cells.iter().filter_map(|cell| {
-        let rate = cell.simultaneous?.rate()?;
-        let inference = cell.inference.as_ref();
-        let interval = inference.and_then(|inference| inference.paired.s_sim.new_tasks);
-        let interval = interval.map_or_else(String::new, |[low, high]| {
-            format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
-        });
+        let (rate, interval, _) = rate(Condition::Simultaneous, cell.level)?;
         let seeds = self::seeds(&cell.by_replicate);
-        Some(format!("{} %{interval}{seeds} at {}", percent(Some(rate)), cell.level))
+        Some(format!("{rate} %{interval}{seeds} at {}", cell.level))
     });
     let at_levels: Vec<String> = at_levels.collect();
     if !at_levels.is_empty() {
@@ -172,6 +175,9 @@ fn cost(cell: &Cell) -> Option<Finding> {
             percent(Some(loss.loss.value)),
             interval_of_new_tasks(&loss.loss)
         ),
+        (false, true) if loss.loss.value <= 0.0 => {
+            format!("No single axis is shown to cost success at {level}")
+        }
         (false, true) => format!(
             "No single axis is shown to cost success at {level}; the greatest loss is {} points{}, \
              under {most}",
@@ -271,6 +277,9 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
             percent(Some(-i.value)),
             interval_of_new_tasks(&i.negated())
         ),
+        false if inference.paired.r_d.value == 0.0 => {
+            format!("At {level}, every simultaneous outcome is the one that the single axes imply.")
+        }
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
             // A share of 0 among a few rollouts gives no upper bound of chance.

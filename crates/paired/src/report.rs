@@ -5,11 +5,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use benchmark::{Axis, AxisSet, Condition, Directions, Level, Measure, Suite, TaskRef};
 use serde::{Deserialize, Serialize};
 
-use crate::bootstrap::Bootstrap;
+use crate::bootstrap::{Bootstrap, Interval};
 use crate::bounds::Bounds;
 use crate::findings::Finding;
 use crate::gate::{Gate, SuiteGate};
 use crate::inference::Inference;
+use crate::inference::estimate::{Estimate, Scale, share};
+use crate::inference::sample::{Row, Sample};
 use crate::measures::Measures;
 use crate::outcomes::{Count, Records};
 use crate::replication::{Components, Flips};
@@ -179,17 +181,37 @@ pub struct TaskSuccess {
 }
 
 /// Success under one condition at one level.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SuiteRow {
-    /// `nominal`, or a name such as `L2 camera`.
-    pub name: String,
     /// The level; L0 for nominal rollouts.
     pub level: Level,
     pub condition: Condition,
-    /// Success rate of each suite, in the order of [`Report::suites`].
-    pub suites: Vec<Option<f64>>,
-    /// Mean of the suites' rates; `None` if one is unknown.
-    pub mean: Option<f64>,
+    /// Rollouts of each suite; empty if only their sum was reported.
+    pub suites: BTreeMap<Suite, Count>,
+    pub all: Count,
+    /// 95 % interval of the rate of `all`, about new tasks of these suites.
+    pub ci95: Option<Interval>,
+}
+
+impl SuiteRow {
+    /// Returns `nominal`, or a name such as `L2 camera`.
+    pub fn name(&self) -> String {
+        match self.condition {
+            Condition::Nominal => self.condition.name().to_owned(),
+            condition => format!("{} {}", self.level, condition.name()),
+        }
+    }
+
+    /// Returns the mean of the suites' rates; `None` if one is unknown.
+    pub fn mean(&self) -> Option<f64> {
+        let first = self.suites.values().next()?;
+        if self.suites.values().all(|suite| suite.n == first.n) {
+            // The same value, without another rounding.
+            return self.all.rate();
+        }
+        let sum: Option<f64> = self.suites.values().map(Count::rate).sum();
+        sum.map(|sum| sum / self.suites.len() as f64)
+    }
 }
 
 /// Counts the results of every task, by level (nominal first) and condition.
@@ -211,33 +233,42 @@ impl Report {
         suites.into_iter().collect()
     }
 
-    /// Returns the success of each suite under every condition at every level.
+    /// Returns the success of each suite under every condition at every level, nominal first.
     pub fn suite_rows(&self) -> Vec<SuiteRow> {
         let of_condition =
             |a: &TaskSuccess, b: &TaskSuccess| (a.level, a.condition) == (b.level, b.condition);
         let rows = self.by_task.chunk_by(of_condition).map(|tasks| {
-            let (level, condition) = (tasks[0].level, tasks[0].condition);
-            let rate = |suite: &Suite| {
-                let of_suite = tasks.iter().filter(|row| row.task.suite() == *suite);
-                let sum = of_suite.fold(Count::default(), |sum, row| Count {
-                    successes: sum.successes + row.count.successes,
-                    n: sum.n + row.count.n,
-                });
-                sum.rate()
-            };
-            let suites: Vec<Option<f64>> = self.suites().iter().map(rate).collect();
-            let sum: Option<f64> = suites.iter().copied().sum();
+            let mut suites: BTreeMap<Suite, Count> = BTreeMap::new();
+            let mut all = Count::default();
+            for TaskSuccess { task, count, .. } in tasks {
+                for sum in [suites.entry(task.suite()).or_default(), &mut all] {
+                    sum.successes += count.successes;
+                    sum.n += count.n;
+                }
+            }
+            let counts = tasks.iter().filter(|row| row.count.n > 0).map(|row| Row {
+                task: row.task,
+                direction: 0,
+                values: vec![row.count.n as f64, row.count.successes as f64],
+            });
+            let sample = Sample::new(&counts.collect::<Vec<_>>(), Directions::Own);
+            let rate = sample.and_then(|sample| Estimate::of(&sample, Scale::Share, &share(1, 0)));
             SuiteRow {
-                name: match condition {
-                    Condition::Nominal => condition.name().to_owned(),
-                    _ => format!("{level} {}", condition.name()),
-                },
-                level,
-                condition,
-                mean: sum.map(|sum| sum / suites.len() as f64),
+                level: tasks[0].level,
+                condition: tasks[0].condition,
                 suites,
+                all,
+                ci95: rate.and_then(|rate| rate.new_tasks),
             }
         });
-        rows.collect()
+        let reported = self.nominal.iter().filter(|of| of.source == NominalSource::Reported);
+        let reported = reported.map(|nominal| SuiteRow {
+            level: Level::L0,
+            condition: Condition::Nominal,
+            suites: BTreeMap::new(),
+            all: nominal.count,
+            ci95: None,
+        });
+        reported.chain(rows).collect()
     }
 }

@@ -1,10 +1,13 @@
 //! The parts of a report, each rendered as text for a terminal of 80 columns and as HTML. A column
 //! of a table has its own note, from which the page's notes and the legend of the text are made.
 
+mod latex;
+
 use std::fmt::{Display, Write};
 
 use maud::{Markup, html};
 
+pub(crate) use self::latex::latex;
 use crate::words::minus_signs;
 
 /// Columns of a terminal.
@@ -18,7 +21,7 @@ pub(crate) fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
 
 /// A section of a report; without blocks, it is not rendered.
 pub(crate) struct Section<'a> {
-    /// Title on the page; empty for blocks between sections.
+    /// Title on the page.
     pub(crate) title: String,
     pub(crate) blocks: Vec<Block<'a>>,
 }
@@ -27,8 +30,6 @@ pub(crate) enum Block<'a> {
     /// Title of the following blocks.
     Heading(String),
     Paragraph(String),
-    /// A paragraph that claims an effect.
-    Claim(String),
     Table(Table),
     /// A table that the page folds.
     Folded(Table),
@@ -38,7 +39,11 @@ pub(crate) enum Block<'a> {
 
 impl Block<'_> {
     fn is_some(&self) -> bool {
-        !matches!(self, Self::Table(table) | Self::Folded(table) if table.rows.is_empty())
+        match self {
+            Self::Table(table) | Self::Folded(table) => !table.rows.is_empty(),
+            Self::Html(part) => !part().0.is_empty(),
+            Self::Heading(_) | Self::Paragraph(_) => true,
+        }
     }
 }
 
@@ -206,7 +211,11 @@ impl Table {
     /// Renders the table in a box that scrolls if it is wider than the page, and that the keyboard
     /// reaches.
     fn box_html(&self) -> Markup {
-        let class = |column: &Column| (column.kind != Kind::Number).then_some("words");
+        let class = |column: &Column| match column.kind {
+            Kind::Key => Some("key"),
+            Kind::Words => Some("words"),
+            Kind::Number => None,
+        };
         html! {
             @if !self.rows.is_empty() {
                 div.scroll tabindex="0" role="region" aria-label=(self.name) {
@@ -334,9 +343,9 @@ impl Column {
 }
 
 /// Breaks words into lines of at most `width` characters, if no word is longer.
-fn in_lines(words: &str, width: usize) -> Vec<String> {
+pub(crate) fn in_lines(words: &str, width: usize) -> Vec<String> {
     let mut lines: Vec<String> = Vec::new();
-    for word in words.split_whitespace() {
+    for word in words.split(' ').filter(|word| !word.is_empty()) {
         match lines.last_mut() {
             Some(line) if line.chars().count() + 1 + word.chars().count() <= width => {
                 line.push(' ');
@@ -399,7 +408,7 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
     let mut follows_prose = false;
     for block in &blocks {
         let part = match block {
-            Block::Heading(words) | Block::Paragraph(words) | Block::Claim(words) => {
+            Block::Heading(words) | Block::Paragraph(words) => {
                 let mut part = String::new();
                 push_wrapped(&mut part, "", words);
                 part
@@ -407,7 +416,7 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
             Block::Table(table) | Block::Folded(table) => table.text(),
             Block::Html(_) => continue,
         };
-        let is_prose = matches!(block, Block::Paragraph(_) | Block::Claim(_));
+        let is_prose = matches!(block, Block::Paragraph(_));
         if !(text.is_empty() || part.is_empty() || is_prose && follows_prose) {
             text.push('\n');
         }
@@ -445,14 +454,25 @@ pub(crate) fn legend<'a, 'b: 'a>(
     legend
 }
 
-/// Renders sections for the page.
-pub(crate) fn html(sections: &[Section<'_>]) -> Markup {
+/// Renders sections for the page: a table of contents, the open sections, and the folded ones.
+pub(crate) fn html(open: &[Section<'_>], folded: &[Section<'_>]) -> Markup {
+    let is_some = |section: &&Section<'_>| section.blocks.iter().any(Block::is_some);
+    let id = |section: &Section<'_>| section.title.to_lowercase().replace(' ', "-");
+    let folded: Vec<&Section<'_>> = folded.iter().filter(is_some).collect();
     html! {
-        @for section in sections {
-            @if section.title.is_empty() {
-                (blocks_html(&section.blocks))
-            } @else if section.blocks.iter().any(Block::is_some) {
-                section { h2 { (section.title) } (blocks_html(&section.blocks)) }
+        @if folded.len() > 1 {
+            nav.contents aria-label="Contents" {
+                @for section in &folded { a href={ "#" (id(section)) } { (section.title) } }
+            }
+        }
+        @for section in open.iter().filter(is_some) {
+            section { h2 { (section.title) } (blocks_html(&section.blocks)) }
+        }
+        @for section in &folded {
+            details.section {
+                summary { h2 { (section.title) } }
+                // Browsers unfold the section that holds the target of a link.
+                div id=(id(section)) { (blocks_html(&section.blocks)) }
             }
         }
     }
@@ -464,7 +484,6 @@ pub(crate) fn blocks_html(blocks: &[Block<'_>]) -> Markup {
             @match block {
                 Block::Heading(words) => h3 { (words) },
                 Block::Paragraph(words) => p { (in_code(&minus_signs(words))) },
-                Block::Claim(words) => p { strong { (in_code(&minus_signs(words))) } },
                 Block::Table(table) => (table.html()),
                 Block::Folded(table) => (table.folded()),
                 Block::Html(part) => (part()),

@@ -2,28 +2,77 @@
 
 use std::collections::BTreeSet;
 
-use benchmark::{Condition, Directions, TaskRef};
+use benchmark::{Condition, Directions, Level, TaskRef};
 use paired::{ComparedCell, Difference, MeanDifference, Profile, ProgressDifference};
 
 use crate::block::{Block, Cell, Rows, Table, cell, or_dash};
-use crate::comparison::Comparison;
-use crate::figures;
-use crate::page::figure;
-use crate::tables::{about_directions, ends, gap, with_intervals};
+use crate::comparison::{Comparison, Unpairable};
+use crate::page::findings::sentence;
+use crate::tables::{about_directions, difference, ends, gap, with_intervals};
 use crate::words::{p_value, percent, points, steps};
 
 type Row<'a> = (&'a ComparedCell, &'a Difference);
 
-const CAPTION: &str = "Difference of success over the same rollouts, in points: to the right of \
-    zero, A succeeds more often. Whiskers: 95 % intervals.";
+/// Returns the tables of a pair, or the differences of several pairs, and the reasons why others are
+/// not compared.
+pub(crate) fn pairs(compared: &[Result<Comparison, Unpairable>]) -> Vec<Block<'_>> {
+    let mut blocks = Vec::new();
+    let pairs: Vec<&Comparison> = compared.iter().filter_map(|pair| pair.as_ref().ok()).collect();
+    if let [only] = pairs.as_slice() {
+        blocks.push(Block::Heading(only.title()));
+        blocks.extend(only.warnings.iter().cloned().map(Block::Paragraph));
+        blocks.extend(only.blocks());
+    } else {
+        blocks.push(Block::Table(differences(&pairs)));
+        let warnings: BTreeSet<&String> = pairs.iter().flat_map(|pair| &pair.warnings).collect();
+        blocks.extend(warnings.into_iter().map(|warning| Block::Paragraph(sentence(warning))));
+    }
+    let refused = compared.iter().filter_map(|pair| pair.as_ref().err());
+    blocks.extend(refused.map(|of| {
+        let reasons = of.reasons.join("; ");
+        Block::Paragraph(format!("{} and {} are not compared: {reasons}.", of.a, of.b))
+    }));
+    blocks
+}
+
+/// Differences nominally and under all axes, a row per pair.
+fn differences(pairs: &[&Comparison]) -> Table {
+    let rows: Vec<Row<'_>> = pairs.iter().flat_map(|pair| pair.compared()).collect();
+    let absent: Vec<_> = rows.iter().map(|(_, of)| of.no_interval).collect();
+    let keys = rows.iter().map(|(at, _)| (at.level, at.condition, at.name()));
+    let keys: BTreeSet<(Level, Condition, String)> =
+        keys.filter(|(_, condition, _)| is_of_pairs(*condition)).collect();
+    let replicates = pairs.first().map_or(0, |pair| pair.bootstrap.replicates);
+    let mut table = Rows::new("A − B of every pair, points", pairs)
+        .key("A", |pair| cell(&pair.a.label))
+        .key("B", |pair| cell(&pair.b.label));
+    for (level, condition, name) in keys {
+        table = table.column(name, "", "", |pair| {
+            let mut compared = pair.compared();
+            let of = compared.find(|(at, _)| (at.level, at.condition) == (level, condition));
+            of.map_or_else(
+                || cell("–"),
+                |(_, of)| {
+                    let value = difference(of.difference, of.difference_ci95, of.no_interval);
+                    value.below(format!("p = {}", p_value(of.holm_p)))
+                },
+            )
+        });
+    }
+    let meaning = "sign-flip test over tasks, corrected for the rows of the pair's own table, which \
+                   `coordinator compare A B` prints";
+    with_intervals(table.note("p", meaning), replicates, absent).table()
+}
+
+fn is_of_pairs(condition: Condition) -> bool {
+    matches!(condition, Condition::Nominal | Condition::Simultaneous)
+}
 
 impl Comparison {
-    /// Returns the figure and the tables.
+    /// Returns the tables.
     pub(crate) fn blocks(&self) -> Vec<Block<'_>> {
-        let drawn = || figure(CAPTION, figures::differences(self).into_iter().collect());
         let left_out = self.statistics.left_out().into_iter().map(Block::Paragraph);
         let mut blocks: Vec<Block<'_>> = left_out.collect();
-        blocks.push(Block::Html(Box::new(drawn)));
         let tasks = || self.tasks().folded();
         blocks.extend([self.success(), self.intervals(), self.by_task()].map(Block::Table));
         blocks.push(Block::Html(Box::new(tasks)));
@@ -167,9 +216,7 @@ impl Comparison {
 
     /// Returns A − B of each task, nominally and under all axes.
     fn tasks(&self) -> Table {
-        let columns = self.compared().filter(|(cell, _)| {
-            matches!(cell.condition, Condition::Nominal | Condition::Simultaneous)
-        });
+        let columns = self.compared().filter(|(cell, _)| is_of_pairs(cell.condition));
         let columns: Vec<(String, &Profile)> =
             columns.map(|(cell, of)| (cell.name(), &of.profile)).collect();
         let tasks = columns.iter().flat_map(|(_, profile)| profile.tasks.keys());

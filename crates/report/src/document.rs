@@ -4,17 +4,19 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
-use benchmark::{Condition, Execution, JsonError, Level, Look};
-use paired::{DuplicateRecord, Finding, FindingKind, Measures, Report};
+use benchmark::{Execution, JsonError, Level, Look};
+use paired::{DuplicateRecord, Measures, Report, SuiteRow};
 use serde::Serialize;
 
 use crate::analysis::Analysis;
 use crate::block::{self, Block, push_wrapped};
 use crate::comparison::{Comparison, Unpairable};
+use crate::comparison_tables;
 use crate::explanation::Findings;
 use crate::family::{Family, FamilyError};
 use crate::interactions::AxisInteractions;
 use crate::page;
+use crate::paper;
 use crate::sequential::Sequential;
 use crate::subject::{Origin, Quarantined, Subject, agree, pluralise};
 use crate::tables;
@@ -82,6 +84,8 @@ struct JsonReport<'a> {
     sequential: Option<&'a Sequential>,
     #[serde(flatten)]
     report: &'a Report,
+    /// Success by suite and in all, under every condition at every level.
+    success: Vec<SuiteRow>,
     /// In the form of `explain --json`.
     explanation: Option<&'a Findings>,
     /// In the form of `thresholds --json`.
@@ -127,7 +131,7 @@ impl Document {
     }
 
     /// Compares every policy with every later one.
-    pub(crate) fn comparisons(&self) -> &[Result<Comparison, Unpairable>] {
+    pub fn comparisons(&self) -> &[Result<Comparison, Unpairable>] {
         self.comparisons.get_or_init(|| {
             let pairs = self.analyses.iter().enumerate().flat_map(|(index, a)| {
                 let later = self.analyses[index + 1..].iter();
@@ -135,6 +139,28 @@ impl Document {
             });
             pairs.collect()
         })
+    }
+
+    /// Writes the comparisons of all pairs for a terminal of 80 columns.
+    pub fn pairs(&self) -> String {
+        let mut text = String::new();
+        push_warnings(&mut text, &self.all_warnings());
+        text + "\n" + &block::text(&comparison_tables::pairs(self.comparisons()))
+    }
+
+    /// Writes success, paired measures and differences between policies as LaTeX.
+    pub fn latex(&self) -> String {
+        let mut blocks = Vec::new();
+        for section in self.analyses.iter().flat_map(|analysis| analysis.derived(None)) {
+            blocks.extend(section.blocks);
+        }
+        if self.analyses.iter().any(Analysis::is_paired) {
+            blocks.extend(page::overview(self, true));
+            blocks.push(Block::Table(tables::complete(&self.analyses)));
+            blocks.push(Block::Table(paper::table(self)));
+            blocks.extend(comparison_tables::pairs(self.comparisons()));
+        }
+        block::latex(&blocks)
     }
 
     /// Returns the label and the measures of each policy with complete configurations at a
@@ -173,6 +199,7 @@ impl Document {
             errors: &analysis.subject.errors,
             sequential: analysis.sequential.as_ref(),
             report: &analysis.report,
+            success: analysis.report.suite_rows(),
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.thresholds.as_ref(),
             interactions: analysis.interactions.as_ref(),
@@ -220,13 +247,15 @@ impl Document {
             }
             text.push_str(&title(&analysis.subject));
             push_warnings(&mut text, &analysis.report.notes);
-            text.push('\n');
-            text.push_str(&match analysis.derived(None) {
-                derived if derived.is_empty() => block::text(&brief(analysis)),
-                derived => block::text(derived.iter().flat_map(|section| &section.blocks)),
-            });
+            let derived = analysis.derived(None);
+            if !derived.is_empty() {
+                text.push('\n');
+                text.push_str(&block::text(derived.iter().flat_map(|section| &section.blocks)));
+            }
         }
         if self.analyses.iter().any(Analysis::is_paired) {
+            text.push('\n');
+            text.push_str(&block::text(&page::overview(self, false)));
             text.push('\n');
             push_wrapped(
                 &mut text,
@@ -255,50 +284,10 @@ impl Document {
         }
         let title = self.family.as_ref().map(|family| Block::Heading(family.heading()));
         let sections = page::of_document(self, None);
-        let blocks = sections.iter().flat_map(|section| &section.blocks);
+        let sections = sections.open.iter().chain(&sections.folded);
+        let blocks = sections.flat_map(|section| &section.blocks);
         text + &block::text(title.iter().chain(blocks))
     }
-}
-
-/// Returns the short report for readers who do not know the protocol's symbols. Of the findings
-/// about a level, and of simultaneous success by suite, it has only those at the last level.
-fn brief(analysis: &Analysis) -> Vec<Block<'_>> {
-    let report = &analysis.report;
-    let last = report.cells.last().map(|cell| cell.level);
-    let findings = report.findings.iter();
-    let findings = findings.filter(|finding| finding.level.is_none() || finding.level == last);
-    let (directions, main): (Vec<&Finding>, Vec<&Finding>) =
-        findings.partition(|finding| finding.kind == FindingKind::Directions);
-    let sentence = |finding: &Finding| Block::Paragraph(finding.sentence.clone());
-    let suites = tables::suites(analysis, "", |row| match row.condition {
-        Condition::Nominal => true,
-        condition => condition == Condition::Simultaneous && Some(row.level) == last,
-    });
-    let mut blocks: Vec<Block<'_>> = main.into_iter().map(sentence).collect();
-    blocks.push(Block::Table(tables::success(std::slice::from_ref(analysis), true)));
-    blocks.push(Block::Table(suites));
-    blocks.extend(tables::gates(report).into_iter().map(Block::Paragraph));
-    blocks.extend(directions.into_iter().map(sentence));
-    blocks.extend(incomplete(report).map(Block::Paragraph));
-    blocks
-}
-
-/// Returns the sentence about rollouts without an outcome; `None` if there are none.
-fn incomplete(report: &Report) -> Option<String> {
-    let mut gaps: Vec<_> = report.nominal.iter().map(|nominal| nominal.gap).collect();
-    gaps.extend(report.cells.iter().flat_map(|cell| cell.completeness.gaps.values().copied()));
-    let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
-    let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
-    let parts = [
-        (missing, ["has", "have"], "no outcome yet"),
-        (quarantined, ["is", "are"], "in quarantine"),
-    ];
-    let parts = parts.into_iter().filter(|(count, ..)| *count > 0);
-    let parts = parts.map(|(count, [singular, plural], state)| {
-        format!("{count} {} {state}", agree(count, singular, plural))
-    });
-    let parts: Vec<String> = parts.collect();
-    (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", parts.join(" and ")))
 }
 
 /// Names some of the quarantined rollouts; `None` if there are none.

@@ -3,16 +3,12 @@
 //! figure takes a row of its own.
 //!
 //! Colour never carries meaning alone: transitions have marks, measures have
-//! shapes, heat maps have numbers. Colours are those of M. Okabe and K. Ito,
-//! Color Universal Design (2008), and, for the heat map, of ColorBrewer's YlGnBu
-//! (C. Brewer, 2002).
+//! shapes. Colours are those of M. Okabe and K. Ito, Color Universal Design (2008).
 
-mod differences;
-mod heat_map;
-mod interactions;
 mod lattice;
 mod levels;
 mod matrix;
+mod paper;
 mod survival;
 mod svg;
 mod upset;
@@ -27,11 +23,9 @@ use crate::document::Document;
 use crate::threshold_report::ThresholdReport;
 
 pub use self::lattice::{SubsetLink, lattice};
-pub use self::levels::{decomposition, directions};
-pub use differences::differences;
-pub use heat_map::heat_map;
-pub use interactions::{additive, interaction_matrix};
+pub use self::levels::decomposition;
 pub use matrix::matrix;
+pub use paper::{by_level, changes};
 pub use survival::survival;
 pub use svg::WIDTH;
 pub use upset::upset;
@@ -155,9 +149,9 @@ pub fn of_thresholds(report: &ThresholdReport) -> Vec<Figure> {
 pub fn all(document: &Document) -> Vec<Figure> {
     let mut figures = Vec::new();
     let levels = levels(document);
-    figures.extend(levels.iter().filter_map(|&level| heat_map(document, level)));
+    figures.extend(by_level(document));
+    figures.extend(levels.iter().filter_map(|&level| changes(document, level)));
     figures.extend(levels.iter().filter_map(|&level| decomposition(document, level)));
-    figures.extend(levels.iter().filter_map(|&level| directions(document, level)));
     for analysis in &document.analyses {
         let matrices = levels.iter().map(|&level| matrix(analysis, level, None));
         figures.extend(matrices.flatten());
@@ -169,15 +163,6 @@ pub fn all(document: &Document) -> Vec<Figure> {
                 .extend(transitions.iter().filter_map(|transition| upset(findings, *transition)));
         }
         figures.extend(analysis.thresholds.iter().flat_map(of_thresholds));
-        for level in analysis.interactions.iter().flat_map(|interactions| &interactions.levels) {
-            figures.extend([
-                interaction_matrix(&analysis.label, level),
-                additive(&analysis.label, level),
-            ]);
-        }
-    }
-    for pair in document.comparisons() {
-        figures.extend(pair.as_ref().ok().and_then(differences));
     }
     // Distinct labels can map to the same file name; files must not overwrite each other.
     let mut used_names = BTreeSet::new();

@@ -13,8 +13,6 @@ use paired::adaptive::subsets::{
 use serde::{Serialize, Serializer};
 
 use crate::block::{self, Block, Cell, Rows, Section, cell};
-use crate::figures;
-use crate::page::figure;
 use crate::page::findings::sentence;
 use crate::subject::Subject;
 use crate::words::{percent, points, points_interval};
@@ -116,16 +114,17 @@ impl AxisInteractions {
     /// Writes the interactions as text for a terminal of 80 columns.
     pub fn text(&self) -> String {
         let head = format!("campaign {}\npolicy {}\n\n", self.campaign, self.policy);
-        let section = self.section(&self.policy);
+        let section = self.section("");
         format!("{head}{}", block::text(&section.blocks))
     }
 
-    /// Returns the section of a report in which the policy has this label.
-    pub(crate) fn section<'a>(&'a self, label: &'a str) -> Section<'a> {
-        let notes = self.notes.iter().map(|note| Block::Claim(sentence(note)));
-        let levels = self.levels.iter().flat_map(|level| level.blocks(label));
+    /// Returns the section of a report in which the policy has this label, unless it is empty.
+    pub(crate) fn section(&self, label: &str) -> Section<'_> {
+        let notes = self.notes.iter().map(|note| Block::Paragraph(sentence(note)));
+        let levels = self.levels.iter().flat_map(LevelInteractions::blocks);
+        let policy = if label.is_empty() { String::new() } else { format!(": {label}") };
         Section {
-            title: "Interactions of the axes".to_owned(),
+            title: format!("Interactions of the axes{policy}"),
             blocks: notes.chain(levels).collect(),
         }
     }
@@ -141,22 +140,18 @@ fn complete_lattice(
 
 impl LevelInteractions {
     /// Returns nominal success and success with all axes perturbed.
-    pub(crate) fn ends(&self) -> [&Estimate; 2] {
+    fn ends(&self) -> [&Estimate; 2] {
         let success = &self.interactions.success;
         [&success[&AxisSet::EMPTY], &success[&self.interactions.full]]
     }
 
-    fn blocks<'a>(&'a self, label: &'a str) -> Vec<Block<'a>> {
+    fn blocks(&self) -> Vec<Block<'_>> {
         let Interactions { n, tasks, success, moebius, sizes, shapley, pairs, .. } =
             &self.interactions;
         let mut summary = format!("{}: {n} configurations of {tasks} tasks", self.level);
         if self.left_out > 0 {
             summary += &format!("; {} lack an outcome and are left out", self.left_out);
         }
-        let figure = move || {
-            let panels = [figures::interaction_matrix(label, self), figures::additive(label, self)];
-            figure(FIGURE, panels.into())
-        };
         let [nominal, simultaneous] = self.ends();
         let steps = sizes.iter().map(|(axes, effect)| match axes {
             1 => ("+ each axis alone".to_owned(), None, Some(effect)),
@@ -176,18 +171,17 @@ impl LevelInteractions {
                     })
                     .column("effect", "points", EFFECT, |(.., effect)| change(*effect))
                     .column("95 %", "", INTERVAL, |(.., effect)| interval(*effect));
-                Block::Folded(rows.table())
+                Block::Table(rows.table())
             };
         let values = |title: &str, name, note: &str, rows: Vec<(&'static str, &Estimate)>| {
             let rows = Rows::new(format!("{title} at {}", self.level), rows)
                 .key("axes", |(name, _)| cell(name))
                 .column(name, "points", note, |(_, value)| change(Some(value)))
                 .column("95 %", "", INTERVAL, |(_, value)| interval(Some(value)));
-            Block::Folded(rows.table())
+            Block::Table(rows.table())
         };
         vec![
             Block::Paragraph(format!("{summary}.")),
-            Block::Html(Box::new(figure)),
             effects("From nominal to simultaneous", "step", steps.collect()),
             values(
                 "Shares of the change",
@@ -208,11 +202,6 @@ impl LevelInteractions {
     }
 }
 
-const FIGURE: &str = "Left, framed on the diagonal: each axis's share of the change from nominal to simultaneous \
-     success; the shares add up to the whole change. Below the diagonal: the amount by which one \
-     axis of a pair changes the effect of the other; negative if the two axes do more harm \
-     together than the sum of their separate effects, positive if one makes up for the other, or \
-     if both do the same harm. Right: the change, by the number of axes that act together.";
 const EFFECT: &str = "Moebius interaction: the effect of the axes together beyond the effects of their smaller \
      subsets; nominal success and all interactions add up to simultaneous success";
 const INTERVAL: &str = "holds simultaneously for all shares, for all pairs, and for all subsets";

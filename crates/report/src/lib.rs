@@ -20,6 +20,7 @@ pub mod figures;
 mod import;
 mod interactions;
 mod page;
+mod paper;
 mod sequential;
 mod subject;
 mod table;

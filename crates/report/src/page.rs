@@ -4,14 +4,17 @@
 pub(crate) mod findings;
 mod methods;
 
-use benchmark::Level;
+use benchmark::{Condition, Level};
 use maud::{DOCTYPE, Markup, PreEscaped, html};
+use paired::Finding;
 
 use crate::analysis::Analysis;
 use crate::block::{self, Block, Rows, Section, cell};
 use crate::comparison::Comparison;
+use crate::comparison_tables::pairs;
 use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
+use crate::paper;
 use crate::subject::Quarantined;
 use crate::tables;
 
@@ -62,16 +65,39 @@ pub fn warnings(document: &Document) -> Markup {
 /// [`STYLE`]. The squares of the outcome matrices and the explained configurations
 /// are linked to the URLs that `link` returns.
 pub fn sections(document: &Document, link: Option<Link>) -> Markup {
-    block::html(&of_document(document, link))
+    let Sections { open, folded } = of_document(document, link);
+    block::html(&open, &folded)
 }
 
-/// Returns the sections of a report, without a title for those of figures alone.
-pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) -> Vec<Section<'a>> {
-    if let Some(family) = &document.family {
-        return vec![family.section(), quarantine(document)];
-    }
+/// The sections of a report: those of the first screen, and those that a page folds.
+pub(crate) struct Sections<'a> {
+    pub(crate) open: Vec<Section<'a>>,
+    pub(crate) folded: Vec<Section<'a>>,
+}
+
+/// Returns the sections of a report.
+pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) -> Sections<'a> {
     let analyses = document.analyses.as_slice();
     let section = |title: &str, blocks| Section { title: title.to_owned(), blocks };
+    let methods = || {
+        let blocks = vec![Block::Html(Box::new(move || methods::methods(document)))];
+        section("Methods", blocks)
+    };
+    if let Some(family) = &document.family {
+        return Sections { open: vec![family.section()], folded: vec![quarantine(document)] };
+    }
+    let mut open: Vec<Section<'_>> =
+        analyses.iter().flat_map(|analysis| analysis.derived(link)).collect();
+    if !analyses.iter().any(Analysis::is_paired) {
+        return Sections { open, folded: vec![quarantine(document), methods()] };
+    }
+    open.push(section("Success", overview(document, true)));
+    let beside = move || {
+        let changes = levels(document).into_iter();
+        let changes = changes.filter_map(|level| figures::changes(document, level));
+        figure(BESIDE, figures::by_level(document).into_iter().chain(changes).collect())
+    };
+    let beside = vec![Block::Html(Box::new(beside)), Block::Table(paper::table(document))];
     let per_level = |caption: &'static str, panel: fn(&Document, Level) -> Option<Figure>| {
         Block::Html(Box::new(move || {
             let levels = levels(document);
@@ -79,58 +105,32 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
             figure(caption, panels.collect())
         }))
     };
-    let methods = || section("", vec![Block::Html(Box::new(move || methods::methods(document)))]);
-    let mut sections: Vec<Section<'_>> =
-        analyses.iter().flat_map(|analysis| analysis.derived(link)).collect();
-    sections.push(section("Findings", finding_blocks(analyses)));
-    if !analyses.iter().any(Analysis::is_paired) {
-        sections.push(quarantine(document));
-        sections.push(methods());
-        return sections;
-    }
-    let suites = analyses.iter().flat_map(|analysis| {
-        let policy = match analyses.len() {
-            1 => String::new(),
-            _ => format!(": {}", analysis.label),
-        };
-        [
-            Block::Table(tables::suites(analysis, &policy, |_| true)),
-            Block::Html(Box::new(move || tables::tasks(analysis).folded())),
-        ]
-    });
     let named = |analysis: &Analysis, sentence: String| match analyses.len() {
         1 => Block::Paragraph(sentence),
         _ => Block::Paragraph(format!("{}: {sentence}", analysis.label)),
     };
-    let gates = analyses.iter().flat_map(|analysis| {
-        let gates = tables::gates(&analysis.report).into_iter();
-        gates.map(move |gate| named(analysis, gate))
-    });
-    let nominal = [Block::Table(tables::nominal(analyses))]
-        .into_iter()
-        .chain(gates)
-        .chain([Block::Table(tables::success(analyses, false))])
-        .chain(suites)
-        .chain([Block::Folded(tables::subsets(analyses))]);
-    sections.push(section("Nominal success and single axes", nominal.collect()));
-    let paired = tables::paired(tables::PAIRED, analyses, |cell| cell.paired.as_ref());
-    sections.push(section("Paired outcomes", vec![Block::Table(paired)]));
-    let inference =
-        [tables::targets, tables::tests, tables::floor, tables::losses].map(|of| of(analyses));
-    if analyses.iter().any(|analysis| analysis.report.cells.iter().any(|c| c.inference.is_some())) {
-        let tables = inference.into_iter().map(Block::Table);
-        sections.push(section("Uncertainty by target", tables.collect()));
-    }
+    let by_condition =
+        tables::suites("Success by condition and suite, %", analyses, true, |_| true);
+    let tasks = analyses.iter().map(|of| Block::Html(Box::new(|| tables::tasks(of).folded())));
+    let conditions = [Block::Table(by_condition)].into_iter().chain(tasks);
+    let conditions = conditions.chain([Block::Folded(tables::subsets(analyses))]);
+    let paired = vec![
+        Block::Table(tables::complete(analyses)),
+        per_level(
+            "From independent axes to simultaneous perturbation. D: the effect of failures of \
+             several axes that coincide in the same configurations. I: the further effect of \
+             simultaneity. In brackets, 95 % intervals.",
+            figures::decomposition,
+        ),
+        Block::Table(tables::bounds(analyses)),
+    ];
+    let inference = [tables::targets, tables::tests, tables::floor, tables::losses];
+    let inference = inference.map(|of| Block::Table(of(analyses)));
     let sequences = analyses.iter().filter_map(|analysis| {
         let explanation = analysis.sequential.as_ref()?.explanation();
         Some(named(analysis, format!("{explanation}.")))
     });
-    let sequences: Vec<Block<'a>> = sequences.collect();
-    if !sequences.is_empty() {
-        let table = Block::Table(tables::sequences(analyses));
-        let blocks = [table].into_iter().chain(sequences).collect();
-        sections.push(section("Confidence sequences", blocks));
-    }
+    let sequences = [Block::Table(tables::sequences(analyses))].into_iter().chain(sequences);
     let matrices = Block::Html(Box::new(move || {
         let panels = analyses.iter().flat_map(|analysis| {
             let levels = levels(document).into_iter();
@@ -138,74 +138,67 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
         });
         figure(matrix_caption(link), panels.collect())
     }));
-    sections.push(section(
-        "",
-        vec![
-            per_level(
-                "Success under each axis alone, and under simultaneous perturbation by all of them.",
-                figures::heat_map,
-            ),
-            per_level(
-                "From independent axes to simultaneous perturbation. D: the effect of failures of \
-                 several axes that coincide in the same configurations. I: the further effect of \
-                 simultaneity. In brackets, 95 % intervals.",
-                figures::decomposition,
-            ),
-            per_level(
-                "Outcome changes by direction. Left, every axis alone succeeds and the \
-                 simultaneous rollout fails; right, some axis alone fails and the simultaneous \
-                 rollout succeeds. Whiskers and brackets: 95 % intervals; p: exact McNemar test of \
-                 left against right.",
-                figures::directions,
-            ),
-            matrices,
-        ],
-    ));
-    sections.extend(
-        analyses
-            .iter()
-            .filter_map(|analysis| Some(analysis.interactions.as_ref()?.section(&analysis.label))),
-    );
     let replication = analyses.iter().flat_map(|analysis| {
         let sentences = tables::replication(analysis).into_iter();
         sentences.map(move |sentence| named(analysis, sentence))
     });
-    sections.push(section("Replication", replication.collect()));
-    let pairs = document.comparisons().iter().flat_map(|pair| match pair {
-        Ok(comparison) => {
-            let warnings = comparison.warnings.iter().cloned().map(Block::Paragraph);
-            let title = [Block::Heading(comparison.title())].into_iter();
-            title.chain(warnings).chain(comparison.blocks()).collect::<Vec<_>>()
-        }
-        Err(unpairable) => {
-            let title = format!("{} and {} are not compared", unpairable.a, unpairable.b);
-            let reasons = unpairable.reasons.iter().cloned().map(Block::Paragraph);
-            [Block::Heading(title)].into_iter().chain(reasons).collect()
-        }
+    let interactions = analyses.iter().filter_map(|analysis| {
+        let label = if analyses.len() > 1 { analysis.label.as_str() } else { "" };
+        Some(analysis.interactions.as_ref()?.section(label))
     });
-    sections.push(section("Differences between policies", pairs.collect()));
-    let solvable = tables::paired(SOLVABLE, analyses, |cell| cell.solvable.as_ref());
-    let rest = [solvable, tables::bounds(analyses)].map(Block::Table);
-    sections.push(section("Further tables", rest.into()));
-    sections.push(quarantine(document));
-    sections.push(methods());
-    sections
+    let mut folded = vec![
+        section("Differences between policies", pairs(document.comparisons())),
+        section("Beside the paper's policies", beside),
+        section("Findings at other levels", finding_blocks(analyses, false)),
+        section("Success by condition, suite and task", conditions.collect()),
+        section("Paired outcomes", paired),
+        section("Uncertainty by target", inference.into()),
+        section("Confidence sequences", sequences.collect()),
+        section("Every configuration", vec![matrices]),
+        section("Replication", replication.collect()),
+    ];
+    folded.extend(interactions);
+    folded.extend([quarantine(document), methods()]);
+    Sections { open, folded }
 }
 
-/// Name of the table of configurations whose nominal rollout succeeds.
-const SOLVABLE: &str = "Paired outcomes of solvable configurations, whose nominal rollout succeeds";
-
-/// Returns the findings of each policy.
-pub(crate) fn finding_blocks(analyses: &[Analysis]) -> Vec<Block<'_>> {
+/// Returns the first screen: success by suite and by axis, and the findings at the last level.
+pub(crate) fn overview(document: &Document, with_intervals: bool) -> Vec<Block<'_>> {
+    let analyses = document.analyses.as_slice();
+    let suites = tables::suites("Success by suite, %", analyses, false, |row| {
+        matches!(row.condition, Condition::Nominal | Condition::Simultaneous)
+    });
+    let axes = tables::axes(analyses, with_intervals);
+    let mut blocks = vec![Block::Table(suites), Block::Table(axes)];
+    blocks.extend(finding_blocks(analyses, true));
     let several = analyses.len() > 1;
-    let findings = analyses.iter().filter(|analysis| !analysis.report.findings.is_empty());
-    let blocks = findings.flat_map(|analysis| {
-        let heading = several.then(|| Block::Heading(analysis.label.clone()));
-        let sentences = analysis.report.findings.iter().map(|finding| match finding.claims {
-            true => Block::Claim(finding.sentence.clone()),
-            false => Block::Paragraph(finding.sentence.clone()),
-        });
-        heading.into_iter().chain(sentences)
+    for analysis in analyses {
+        let gates = tables::gates(&analysis.report).into_iter();
+        blocks.extend(gates.chain(tables::incomplete(&analysis.report)).map(|sentence| {
+            let policy = if several { format!("{}: ", analysis.label) } else { String::new() };
+            Block::Paragraph(format!("{policy}{sentence}"))
+        }));
+    }
+    blocks
+}
+
+const BESIDE: &str = "Measured policies (capital letters) beside those of the paper (small letters). Left, \
+    simultaneous success by level; then, for each level, emergent failures against compensated \
+    successes: on the line, they balance.";
+
+/// Returns a paragraph for each policy with its findings at the last level and over all, or with
+/// those at the other levels.
+fn finding_blocks(analyses: &[Analysis], at_last: bool) -> Vec<Block<'_>> {
+    let several = analyses.len() > 1;
+    let blocks = analyses.iter().filter_map(|analysis| {
+        let last = analysis.report.cells.last().map(|cell| cell.level);
+        let is_last = |finding: &Finding| finding.level.is_none() || finding.level == last;
+        let findings = analysis.report.findings.iter();
+        let findings = findings.filter(|finding| is_last(finding) == at_last);
+        let sentences: Vec<&str> = findings.map(|finding| finding.sentence.as_str()).collect();
+        let policy = if several { format!("{}. ", analysis.label) } else { String::new() };
+        let paragraph = || Block::Paragraph(format!("{policy}{}", sentences.join(" ")));
+        (!sentences.is_empty()).then(paragraph)
     });
     blocks.collect()
 }

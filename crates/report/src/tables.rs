@@ -2,16 +2,17 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use benchmark::{Axis, Condition, Directions, Level, Measure};
+use benchmark::{Axis, Condition, Directions, Level, Measure, Suite};
 use paired::{
     Bounds, Cell as AtLevel, Count, Estimate, GATE_ROLLOUTS, GATE_ROLLOUTS_OF_A_SUITE,
     GATE_TOLERANCE, Gap, Gate, GateVerdict, Inference, Interval, MIN_TASKS, Measures, NoInterval,
-    Nominal, NominalSource, Report, SuiteRow,
+    Report, SuiteRow,
 };
 
 use crate::analysis::Analysis;
 use crate::block::{Cell, Rows, Table, cell, or_dash};
 use crate::sequential::Sequential;
+use crate::subject::agree;
 use crate::words::{p_value, percent, points, points_interval, rate_interval};
 
 /// A row: an analysis, one of its levels, and what the table is about.
@@ -72,15 +73,11 @@ pub(crate) fn with_intervals<R>(
         })
 }
 
-/// The measures over the configurations that `of` selects.
-pub(crate) fn paired(
-    name: &str,
-    analyses: &[Analysis],
-    of: fn(&AtLevel) -> Option<&Measures>,
-) -> Table {
+/// The measures over all complete configurations.
+pub(crate) fn complete(analyses: &[Analysis]) -> Table {
     let rows = levels(analyses).filter(|(_, at)| at.simultaneous.is_some());
     let rows: Vec<Row<'_, &Measures>> =
-        rows.filter_map(|(analysis, at)| Some((analysis, at, of(at)?))).collect();
+        rows.filter_map(|(analysis, at)| Some((analysis, at, at.paired.as_ref()?))).collect();
     let absent: Vec<_> = rows.iter().map(|(.., measures)| measures.no_interval).collect();
     let is_overstated = rows.iter().any(|(of, ..)| !of.report.overstated.is_empty());
     let replicates = analyses.first().map_or(0, |of| of.report.bootstrap.replicates);
@@ -90,7 +87,7 @@ pub(crate) fn paired(
         }
         cell
     };
-    let table = of_levels(name, analyses, rows)
+    let table = of_levels("Paired outcomes of complete configurations", analyses, rows)
         .column("n", "", "complete configurations, whose outcomes are all known", |(_, at, m)| {
             let completeness = &at.completeness;
             let is_all = m.n == completeness.expected;
@@ -154,15 +151,13 @@ pub(crate) fn paired(
         .column("McNemar p", "", "exact two-sided test of b against c", |(.., m)| {
             cell(p_value(m.mcnemar_p))
         })
-        .when(name == PAIRED, |rows| {
-            rows.column(
-                "detectable |I|",
-                "points",
-                "smallest |I| that a test at 5 % detects with a power of 80 %, given the number of \
-                 configurations and R_d",
-                |(_, at, _)| or_dash(at.minimum_detectable_i.map(percent)),
-            )
-        })
+        .column(
+            "detectable |I|",
+            "points",
+            "smallest |I| that a test at 5 % detects with a power of 80 %, given the number of \
+             configurations and R_d",
+            |(_, at, _)| or_dash(at.minimum_detectable_i.map(percent)),
+        )
         .when(is_overstated, |rows| {
             rows.note(
                 "*",
@@ -172,9 +167,6 @@ pub(crate) fn paired(
         });
     with_intervals(table, replicates, absent).table()
 }
-
-/// Name of the table of all complete configurations.
-pub(crate) const PAIRED: &str = "Paired outcomes of complete configurations";
 
 /// Ranges of measures over all possible outcomes of quarantined rollouts.
 pub(crate) fn bounds(analyses: &[Analysis]) -> Table {
@@ -197,32 +189,16 @@ pub(crate) fn bounds(analyses: &[Analysis]) -> Table {
     .table()
 }
 
-/// Nominal success of each policy.
-pub(crate) fn nominal(analyses: &[Analysis]) -> Table {
-    let rows = analyses.iter().filter_map(|of| Some((of, of.report.nominal.as_ref()?)));
-    Rows::new("Nominal success", rows)
-        .key("policy", |(of, _)| cell(&of.label))
-        .column("nominal", "%", "", |(_, nominal): &(_, &Nominal)| {
-            or_dash(nominal.count.rate().map(percent)).below(seeds(&nominal.by_replicate))
-        })
-        .column("counts", "", "", |(_, nominal)| {
-            let Count { successes, n } = nominal.count;
-            let cell = cell(format!("{successes}/{n}"));
-            match nominal.source {
-                NominalSource::Reported => cell.below("as reported"),
-                NominalSource::Records => gap(cell, nominal.gap.missing, nominal.gap.quarantined),
-            }
-        })
-        .table()
-}
-
-/// Lists the rates of single seeds; empty without replicates.
+/// Describes the spread of the rates of single seeds: `± 19.0 of 3`, their standard deviation and
+/// number; empty without replicates.
 fn seeds(by_replicate: &BTreeMap<u32, Count>) -> String {
-    let rates = by_replicate.values().map(|count| count.rate().map_or("–".to_owned(), percent));
-    let rates: Vec<String> = rates.collect();
+    let rates: Vec<f64> = by_replicate.values().filter_map(Count::rate).collect();
+    let n = rates.len() as f64;
+    let mean = rates.iter().sum::<f64>() / n;
+    let squares = rates.iter().map(|rate| (rate - mean).powi(2)).sum::<f64>();
     match rates.len() {
-        0 => String::new(),
-        count => format!("{count} seeds: {}", rates.join(", ")),
+        0 | 1 => String::new(),
+        count => format!("± {} of {count}", percent((squares / (n - 1.0)).sqrt())),
     }
 }
 
@@ -235,52 +211,31 @@ pub(crate) fn gap(cell: Cell, missing: u64, quarantined: u64) -> Cell {
     cell.below(line(missing, "missing")).below(line(quarantined, "quarantined"))
 }
 
-/// Success under each condition; `is_brief` leaves out counts and losses and adds nominal success.
-pub(crate) fn success(analyses: &[Analysis], is_brief: bool) -> Table {
+/// Success under the nominal condition, each axis alone and all of them, a row per level.
+pub(crate) fn axes(analyses: &[Analysis], with_intervals: bool) -> Table {
     let run: BTreeSet<Axis> =
         levels(analyses).flat_map(|(_, at)| at.alone.keys().copied()).collect();
-    let has = |is: fn(&AtLevel) -> bool| levels(analyses).any(|(_, at)| is(at));
-    let conditions = [Condition::Nominal].into_iter().filter(|_| is_brief);
-    let singles = run.iter().copied().map(Condition::Single);
-    let simultaneous = has(|at| at.simultaneous.is_some()).then_some(Condition::Simultaneous);
-    let rows = levels(analyses).map(|(of, at)| (of, at, ()));
-    let rows = rows.filter(|_| !run.is_empty());
-    let name = if is_brief { "Success, %" } else { "Success of all rollouts, %, with its counts" };
-    let mut table = of_levels(name, analyses, rows);
-    let mut has_loss = false;
-    for condition in conditions.chain(singles).chain(simultaneous) {
-        table = table.column(condition.name(), "", "", |(of, at, ())| {
-            let alone = match condition {
-                Condition::Single(axis) => at.alone.get(&axis),
-                _ => None,
-            };
-            let count = match condition {
-                Condition::Nominal => of.report.nominal.as_ref().map(|nominal| nominal.count),
-                Condition::Simultaneous => at.simultaneous,
-                _ => alone.map(|alone| alone.count),
-            };
-            let value = or_dash(count.and_then(|count| count.rate()).map(percent));
-            if is_brief {
-                return value;
-            }
-            let counts = count.map(|Count { successes, n }| format!("{successes}/{n}"));
-            let loss = alone.and_then(|alone| alone.nominal_relative_loss).map(percent);
-            let loss = loss.map(|loss| format!("loss {loss}"));
-            let gap_of = at.completeness.gaps.get(&condition).copied();
-            let Gap { missing, quarantined } = gap_of.unwrap_or_default();
-            let value = value.below(counts.unwrap_or_default()).below(loss.unwrap_or_default());
-            let by_replicate = match condition {
-                Condition::Simultaneous => seeds(&at.by_replicate),
-                _ => String::new(),
-            };
-            gap(value.below(by_replicate), missing, quarantined)
+    let is_simultaneous = levels(analyses).any(|(_, at)| at.simultaneous.is_some());
+    let conditions = [Condition::Nominal].into_iter().chain(run.into_iter().map(Condition::Single));
+    let conditions = conditions.chain(is_simultaneous.then_some(Condition::Simultaneous));
+    let successes: Vec<_> = analyses.iter().map(|of| of.report.suite_rows()).collect();
+    let rows = analyses
+        .iter()
+        .zip(&successes)
+        .flat_map(|(of, successes)| of.report.cells.iter().map(move |at| (of, at, successes)));
+    let mut table = of_levels("Success by axis, %", analyses, rows);
+    for condition in conditions {
+        table = table.column(condition.name(), "", "", |(_, at, successes)| {
+            let is_nominal = condition == Condition::Nominal;
+            let of = successes
+                .iter()
+                .find(|row| row.condition == condition && (is_nominal || row.level == at.level));
+            let value = or_dash(of.and_then(|row| row.all.rate()).map(percent));
+            let interval = of.and_then(|row| row.ci95).filter(|_| with_intervals);
+            value.below(rate_interval(interval, None).trim_start())
         });
     }
-    for (_, at) in levels(analyses) {
-        has_loss |=
-            !is_brief && at.alone.values().any(|alone| alone.nominal_relative_loss.is_some());
-    }
-    table.when(has_loss, |rows| rows.note("loss", "1 − success / nominal success, %")).table()
+    table.table()
 }
 
 /// Success under subsets of two or more axes.
@@ -296,22 +251,78 @@ pub(crate) fn subsets(analyses: &[Analysis]) -> Table {
         .table()
 }
 
-/// Success by suite, of the rows that `is_shown`; empty for a single suite.
+/// Success by suite and in all, of the rows that `is_shown`; `is_full` adds losses and gaps.
 pub(crate) fn suites(
-    analysis: &Analysis,
-    policy: &str,
+    name: &str,
+    analyses: &[Analysis],
+    is_full: bool,
     is_shown: impl Fn(&SuiteRow) -> bool,
 ) -> Table {
-    let suites = analysis.report.suites();
-    let rows = analysis.report.suite_rows().into_iter().filter(is_shown);
-    let rows = rows.filter(|_| suites.len() > 1);
-    let name = format!("Success by suite, and the mean of the suites, %{policy}");
-    let mut table = Rows::new(name, rows).key("condition", |row| cell(&row.name));
-    for (index, suite) in suites.iter().enumerate() {
-        let rate = |row: &SuiteRow| or_dash(row.suites[index].map(percent));
-        table = table.column(suite.short_name(), "", "", rate);
+    let suites: BTreeSet<Suite> = analyses.iter().flat_map(|of| of.report.suites()).collect();
+    let rows = analyses.iter().flat_map(|of| {
+        let rows = of.report.suite_rows().into_iter();
+        rows.filter(|row| is_shown(row)).map(move |row| (of, row)).collect::<Vec<_>>()
+    });
+    let rows: Vec<(&Analysis, SuiteRow)> = rows.collect();
+    let of_seeds = |(of, row): &(&Analysis, SuiteRow)| match row.condition {
+        Condition::Nominal => of.report.nominal.as_ref().map(|of| seeds(&of.by_replicate)),
+        Condition::Simultaneous => of.cell(row.level).map(|at| seeds(&at.by_replicate)),
+        _ => None,
+    };
+    let of_seeds = |row: &_| of_seeds(row).filter(|seeds| !seeds.is_empty());
+    let has_intervals = rows.iter().any(|(_, row)| row.ci95.is_some());
+    let has_mean = |row: &SuiteRow| row.suites.len() < 2 || row.mean() == row.all.rate();
+    let is_balanced = rows.iter().all(|(_, row)| has_mean(row));
+    let all = if is_balanced && suites.len() > 1 { "average" } else { "all" };
+    let has_seeds = rows.iter().any(|row| of_seeds(row).is_some());
+    let mut table = Rows::new(name, rows)
+        .when(analyses.len() > 1, |rows| rows.key("policy", |(of, _)| cell(&of.label)))
+        .key("condition", |(_, row)| cell(row.name()));
+    for suite in suites.iter().filter(|_| suites.len() > 1) {
+        table = table.column(suite.short_name(), "", "", |(_, row)| {
+            or_dash(row.suites.get(suite).and_then(Count::rate).map(percent))
+        });
     }
-    table.column("mean", "", "", |row| or_dash(row.mean.map(percent))).table()
+    table
+        .when(!is_balanced, |rows| {
+            rows.column("average", "", "mean of the suites", |(_, row)| {
+                or_dash(row.mean().map(percent))
+            })
+        })
+        .column(all, "", "all rollouts together", |(_, row)| or_dash(row.all.rate().map(percent)))
+        .when(has_intervals, |rows| {
+            let note = "interval of the rate of all rollouts, about new tasks";
+            rows.column("95 %", "", note, |(_, row)| ends(percent, row.ci95))
+        })
+        .column("n", "", "", |(of, row)| {
+            let gap_of = match row.condition {
+                Condition::Nominal => of.report.nominal.as_ref().map(|nominal| nominal.gap),
+                condition => {
+                    of.cell(row.level).and_then(|at| at.completeness.gaps.get(&condition).copied())
+                }
+            };
+            let Gap { missing, quarantined } = gap_of.unwrap_or_default();
+            let is_reported = row.suites.is_empty() && row.all.n > 0;
+            let n = cell(row.all.n).below(if is_reported { "as reported" } else { "" });
+            if is_full { gap(n, missing, quarantined) } else { n }
+        })
+        .when(has_seeds, |rows| {
+            let note = "standard deviation of the policy seeds' rates, and their number";
+            rows.column("seeds", "", note, |row| or_dash(of_seeds(row)))
+        })
+        .when(is_full, |rows| {
+            let note = "1 − success / nominal success, %";
+            rows.column("loss", "", note, |(of, row)| {
+                let loss = match row.condition {
+                    Condition::Single(axis) => {
+                        of.cell(row.level).and_then(|at| at.alone.get(&axis)?.nominal_relative_loss)
+                    }
+                    _ => None,
+                };
+                or_dash(loss.map(percent))
+            })
+        })
+        .table()
 }
 
 /// Success by task.
@@ -323,6 +334,24 @@ pub(crate) fn tasks(analysis: &Analysis) -> Table {
         .column("success", "%", "", |row| or_dash(row.count.rate().map(percent)))
         .column("counts", "", "", |row| cell(format!("{}/{}", row.count.successes, row.count.n)))
         .table()
+}
+
+/// Returns the sentence about rollouts without an outcome; `None` if there are none.
+pub(crate) fn incomplete(report: &Report) -> Option<String> {
+    let mut gaps: Vec<_> = report.nominal.iter().map(|nominal| nominal.gap).collect();
+    gaps.extend(report.cells.iter().flat_map(|cell| cell.completeness.gaps.values().copied()));
+    let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
+    let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
+    let parts = [
+        (missing, ["has", "have"], "no outcome yet"),
+        (quarantined, ["is", "are"], "in quarantine"),
+    ];
+    let parts = parts.into_iter().filter(|(count, ..)| *count > 0);
+    let parts = parts.map(|(count, [singular, plural], state)| {
+        format!("{count} {} {state}", agree(count, singular, plural))
+    });
+    let parts: Vec<String> = parts.collect();
+    (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", parts.join(" and ")))
 }
 
 /// Describes the verdicts of the gates over all suites and for single suites.

@@ -11,7 +11,7 @@ use benchmark::{Condition, Look, execution_at};
 use crate::subject::{Subject, pluralise};
 
 /// The built-in asset pack, which is a different benchmark from LIBERO.
-const PRIMITIVES: &str = "primitives";
+pub(crate) const PRIMITIVES: &str = "primitives";
 /// End of the batch mode of a server that takes no seed.
 const UNSEEDED: &str = ", unseeded";
 /// Number of hexadecimal digits shown of a digest.

@@ -2,6 +2,7 @@
 published outcomes."""
 
 import json
+import os
 from collections import Counter
 from pathlib import Path
 
@@ -52,6 +53,21 @@ def test_rates_of_a_report_are_those_of_the_results(measured):
         assert row["successes"] == result_counts.loc[condition, "sum"]
         assert row["n"] == result_counts.loc[condition, "count"]
     assert (success["missing"] == 0).all()
+
+
+def test_the_notebook_makes_the_tables_of_a_paper(programs, monkeypatch):
+    root = PUBLISHED.parents[1]
+    monkeypatch.chdir(root)
+    monkeypatch.setenv("PATH", str(programs), prepend=os.pathsep)
+    cells = json.loads((root / "python" / "examples" / "paper_tables.ipynb").read_text())["cells"]
+    names = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)
+    by_suite, by_axis = names["by_suite"], names["by_axis"]
+    at_l2 = by_suite.loc[("OpenVLA-OFT", "L2", "simultaneous")]
+    assert at_l2["libero_goal"] == 50 and at_l2["all"] == 57.75
+    assert by_axis.loc[("OpenVLA-OFT", "L2"), "simultaneous"] == "57.8 [51.2, 64.1]"
 
 
 def test_a_report_has_a_row_per_configuration_with_its_outcomes(measured):

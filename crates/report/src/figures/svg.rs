@@ -1,7 +1,7 @@
 //! Primitives of the figures: numbers, scales, axes, intervals.
 
 use maud::{Markup, html};
-use paired::{Interval, NoInterval};
+use paired::Interval;
 
 /// Width of a panel that is not `WIDE`, in user units, which are pixels if the panel is not
 /// scaled.
@@ -65,20 +65,16 @@ impl Scale {
     }
 }
 
-/// Returns ticks at every multiple of `step`, a fraction, with labels in percent: with a sign if
-/// `signed`, otherwise of the absolute value.
-pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64, signed: bool) -> Vec<(f64, String)> {
+/// Returns ticks at every multiple of `step`, a fraction, with labels in percent.
+pub(super) fn percent_ticks([from, to]: [f64; 2], step: f64) -> Vec<(f64, String)> {
     let first = (from / step - 1e-9).ceil() as i64;
     let last = (to / step + 1e-9).floor() as i64;
-    let label = |value: f64| match (signed, value == 0.0) {
-        (true, false) => format!("{:+}", (100.0 * value).round()).replace('-', "−"),
-        _ => format!("{}", (100.0 * value).round().abs()),
-    };
-    (first..=last).map(|k| (k as f64 * step, label(k as f64 * step))).collect()
+    let tick = |k: i64| k as f64 * step;
+    (first..=last).map(|k| (tick(k), format!("{}", (100.0 * tick(k)).round()))).collect()
 }
 
-/// Returns the end of an axis to both sides of zero, and the distance of its ticks: the first
-/// candidate that needs at most `most` ticks on each side.
+/// Returns the end of an axis from zero, and the distance of its ticks: the first
+/// candidate that needs at most `most` ticks.
 pub(super) fn end_and_step(largest: f64, most: f64) -> (f64, f64) {
     let mut steps = [0.02, 0.05, 0.1, 0.25].into_iter();
     let step = steps.find(|step| largest / step <= most).unwrap_or(0.5);
@@ -98,18 +94,6 @@ pub(super) fn whisker(scale: &Scale, [low, high]: Interval, y: f64) -> Markup {
             d={ "M" (low) " " (top) "V" (bottom) "M" (low) " " (middle) "H" (high)
                 "M" (high) " " (top) "V" (bottom) } {}
     }
-}
-
-/// Writes the reason why a value has no interval, to the left or right of the value, where there
-/// is more room.
-pub(super) fn withheld(scale: &Scale, value: f64, reason: Option<NoInterval>, y: f64) -> Markup {
-    let x = scale.at(value);
-    let is_right = x > f64::midpoint(scale.range[0], scale.range[1]) + 1.0;
-    let (x, class) = match is_right {
-        true => (x - 10.0, "tiny muted end"),
-        false => (x + 10.0, "tiny muted"),
-    };
-    html! { @if let Some(reason) = reason { (text(x, y + 3.5, class, reason.name())) } }
 }
 
 pub(super) fn circle(x: f64, y: f64, class: &str) -> Markup {

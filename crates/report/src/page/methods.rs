@@ -16,42 +16,34 @@ pub(super) fn methods(document: &Document) -> Markup {
     let bootstrap = document.analyses.first().map(|analysis| analysis.report.bootstrap);
     let is_paired = document.analyses.iter().any(Analysis::is_paired);
     html! {
-        section {
-            h2 { "Methods" }
-            p {
-                "Protocol: LIBERO-CTRL (arXiv 2609.15940). "
-                @if is_paired {
-                    "Every configuration pairs one initial state with one preset of each axis; it \
-                    is run under each axis alone and under all of them simultaneously, so that \
-                    outcomes are compared configuration by configuration. McNemar's exact test takes \
-                    rollouts as independent; sign-flip tests take tasks as independent. The findings rest \
-                    on sign-flip tests of costs and of I, t tests of the excess over the noise \
-                    floor, and permutation tests of directions, at 1 % after Holm's correction. \
-                    Intervals for each target are jackknives over tasks, directions and \
-                    configurations with Student's t. "
-                } @else {
-                    "This campaign runs further rollouts of another campaign's configurations: the \
-                    same initial states, and perturbations drawn from the same seeds. "
-                }
-                @if let Some(bootstrap) = bootstrap {
-                    "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
-                    " bootstrap replicates that resample whole tasks (ChaCha12, seed "
-                    (bootstrap.seed) "). Fewer than "
-                    (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too \
-                    narrow: for normally distributed tasks, a nominal 95 % interval covers the \
-                    truth in 50 % of cases for two tasks, 85 % for five, 90 % for ten and 94 % for \
-                    forty (Hesterberg, The American Statistician 69, 2015; Cameron, Gelbach and \
-                    Miller, Review of Economics and Statistics 90, 2008). A measure that no \
-                    resampling changes gets no interval either (“no spread”): an interval without \
-                    width would say nothing about the uncertainty of the measure."
-                }
-                @if is_paired { " Incomplete configurations are in no paired figure." }
-                " Rollouts that infrastructure \
-                kept from finishing are never counted as failures. Computed by rollout "
-                (env!("CARGO_PKG_VERSION")) "."
+        p {
+            "Protocol: LIBERO-CTRL (arXiv 2609.15940). "
+            @if is_paired {
+                "Every configuration pairs one initial state with one preset of each axis; it \
+                is run under each axis alone and under all of them simultaneously, so that \
+                outcomes are compared configuration by configuration. McNemar's exact test takes \
+                rollouts as independent; sign-flip tests take tasks as independent. The findings rest \
+                on sign-flip tests of costs and of I, t tests of the excess over the noise \
+                floor, and permutation tests of directions, at 1 % after Holm's correction. \
+                Intervals for each target are jackknives over tasks, directions and \
+                configurations with Student's t. "
+            } @else {
+                "This campaign runs further rollouts of another campaign's configurations: the \
+                same initial states, and perturbations drawn from the same seeds. "
             }
-            @for analysis in &document.analyses { (policy_methods(analysis)) }
+            @if let Some(bootstrap) = bootstrap {
+                "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
+                " bootstrap replicates that resample whole tasks (ChaCha12, seed "
+                (bootstrap.seed) "). Fewer than "
+                (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too \
+                narrow, and neither does a measure that no resampling changes (“no spread”)."
+            }
+            @if is_paired { " Incomplete configurations are in no paired figure." }
+            " Rollouts that infrastructure \
+            kept from finishing are never counted as failures. Computed by rollout "
+            (env!("CARGO_PKG_VERSION")) "."
         }
+        @for analysis in &document.analyses { (policy_methods(analysis)) }
     }
 }
 

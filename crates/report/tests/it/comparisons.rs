@@ -5,7 +5,7 @@ use std::path::Path;
 use benchmark::attempt::{GoalProgress, Pin, Provenance};
 use benchmark::{Condition, Directions, Look, RolloutId};
 use paired::{Obstacle, Outcome, Progress};
-use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures, import, page};
+use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, import, page};
 use serde_json::{Value, json};
 
 use crate::assert_fits_a_terminal;
@@ -258,13 +258,6 @@ fn a_page_of_several_policies_shows_every_pair_or_why_it_cannot_be_compared() {
     ] {
         assert!(page.contains(words), "{words}");
     }
-    let figures = figures::all(&document);
-    let of_pairs: Vec<&str> = figures
-        .iter()
-        .map(|figure| figure.name.as_str())
-        .filter(|name| name.starts_with("difference-"))
-        .collect();
-    assert_eq!(of_pairs, ["difference-first-second"]);
     let alone = Document::new(vec![campaign("first")]).expect("no duplicates");
     assert!(!report::page(&alone).contains("Differences between policies"));
 }

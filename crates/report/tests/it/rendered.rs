@@ -1,12 +1,14 @@
 //! Snapshots of each form of a small campaign with replicates, missing and
 //! quarantined rollouts, of a comparison, and of a campaign of LIBERO's family.
 
-use benchmark::{Axis, Condition, Level, TaskRef};
+use std::collections::BTreeSet;
+
+use benchmark::{Axis, Condition, Level, RolloutId, TaskRef};
 use paired::Outcome;
 use report::{Comparison, Document, Subject, page};
 
 use crate::assert_fits_a_terminal;
-use crate::subjects::{broken, replicated};
+use crate::subjects::{broken, example, replicated};
 
 /// Returns the rollouts of the first `tasks` tasks at L2, under three conditions.
 fn of_tasks(tasks: usize, mut subject: Subject) -> Subject {
@@ -47,6 +49,42 @@ fn every_form_of_a_small_campaign() {
     }
     let alone = Document::new(vec![of_tasks(10, broken())]).expect("no rollout twice");
     insta::assert_snapshot!("page", without_figures(&page(&alone)));
+    insta::assert_snapshot!("latex", document.latex());
+}
+
+/// Returns the first tasks and configurations at L2, with their nominal rollouts and these outcomes.
+fn edge(tasks: usize, configs: u16, success: Option<bool>) -> Subject {
+    let mut subject = of_tasks(tasks, example());
+    subject.records.retain(|record| record.id.config().is_some_and(|config| config < configs));
+    let states: BTreeSet<_> = subject.records.iter().map(|of| (of.id.task(), of.init_id)).collect();
+    let first = subject.records[0];
+    subject.records.extend(states.into_iter().map(|(task, init_id)| paired::Record {
+        id: RolloutId::nominal(task, init_id),
+        init_id,
+        outcome: Outcome::Success,
+        ..first
+    }));
+    for record in &mut subject.records {
+        record.outcome = success.map_or(record.outcome, Outcome::from);
+    }
+    Subject { reported_nominal: None, published_nominal: None, ..subject }
+}
+
+#[test]
+fn sentences_at_the_edges() {
+    let cases = [
+        ("nothing succeeds", edge(10, 10, Some(false))),
+        ("everything succeeds", edge(10, 10, Some(true))),
+        ("two configurations", edge(1, 2, None)),
+        ("one task", edge(1, 10, None)),
+    ];
+    let texts = cases.map(|(name, subject)| {
+        let document = Document::new(vec![subject]).expect("no rollout twice");
+        let text = document.brief();
+        let (text, _) = text.split_once("`--full`").expect("a hint");
+        format!("--- {name}\n{text}")
+    });
+    insta::assert_snapshot!("edges", texts.concat());
 }
 
 #[test]

@@ -2,7 +2,7 @@
 
 use benchmark::Condition;
 use parquet::file::reader::{FileReader, SerializedFileReader};
-use report::{Document, ResultRow, write_csv, write_parquet, write_results_parquet};
+use report::{Document, write_csv, write_parquet, write_results_parquet};
 use serde_json::Value;
 
 use crate::subjects::{broken, document, example};
@@ -123,7 +123,7 @@ fn a_table_of_results_has_a_column_for_the_execution_model() {
                 "level": "L0", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": null,
                 "policy": "oft", "wall_s": 7.2{more}}}"#
         );
-        ResultRow::from_json(&line).expect("a row")
+        serde_json::from_str(&line).expect("a row")
     };
     let rows = vec![row(""), row(r#", "execution": "overlap:4,rtc""#)];
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -150,7 +150,7 @@ fn the_report_of_a_measuring_campaign_shows_its_findings() {
     ] {
         assert!(html.contains(expected), "{expected}");
     }
-    for absent in ["Paired outcomes", "Nominal success and single axes", "NaN"] {
+    for absent in ["Paired outcomes", "Success by suite", "NaN"] {
         assert!(!html.contains(absent), "{absent}");
     }
     let text = document.text();
