@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use crate::worker_process::{ready, run};
+use crate::worker_process::run;
 
 fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
     let ran = run(arguments);
@@ -67,9 +67,6 @@ fn only_commands_that_call_a_coordinator_check_its_variable() {
 
 #[test]
 fn a_missing_pack_is_named() {
-    if !ready("a_missing_pack_is_named") {
-        return;
-    }
     let arguments = ["--connect", "http://127.0.0.1:9", "--assets", "no/such/pack"];
     check(&arguments, 1, &["no/such/pack", "`primitives`"]);
 }
@@ -78,6 +75,9 @@ fn a_missing_pack_is_named() {
 fn invalid_command_lines_exit_with_2() {
     let check = |arguments: &[&str], expected: &str| check(arguments, 2, &[expected]);
     check(&[], "--connect");
+    for slots in ["0", "many"] {
+        check(&["--connect", "http://127.0.0.1:9", "--slots", slots], "--slots");
+    }
     check(&["--connect", "localhost:7411", "--assets", "primitives"], "http://HOST:PORT");
     check(
         &["--connect", "http://127.0.0.1:9", "--assets", "primitives", "--renderer", "gl:card"],
