@@ -1,8 +1,8 @@
 //! Actions and description of a policy for measurements: its actions are fixed, and it asks for the
 //! same cameras and readings as the published policies.
 
-use proto::checks::CAMERAS;
 use proto::PROTOCOL_VERSION;
+use proto::checks::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
 
 use crate::actor::{Action, Description};

@@ -1,13 +1,13 @@
 //! Tests of `worker rollout` by id, with a user's own task, and from a recording; on the built-in
 //! assets.
 
+use crate::video::PANE_SIDE;
+use benchmark::attempt::GoalProgress;
 use benchmark::{Axis, ManifestRow, Query, Realisation, row_of};
 use proto::checks::CAMERAS;
 use proto::policy as wire;
-use benchmark::attempt::GoalProgress;
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
-use crate::video::PANE_SIDE;
 
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};
