@@ -476,7 +476,7 @@ pub struct PreviewArguments {
     /// elements under each condition, as the released code draws them.
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
-    /// A folder for grid.png, presets_AXIS.png and actuation_paths.svg
+    /// A folder for grid.png and presets_AXIS.png
     #[arg(long, value_name = "DIR")]
     pub output: PathBuf,
     /// Simulator, assets and renderer.

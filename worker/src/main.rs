@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use anyhow::{Context, bail};
 use benchmark::family::protocol::Protocol;
-use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef};
+use benchmark::{ManifestRow, RolloutId, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -26,9 +26,9 @@ use worker::args::{
 };
 use worker::assets::Provider;
 use worker::child::SlotProgram;
-use worker::ids::{WorkerId, host_name, machine, random_id, random_number};
-use worker::message::{Assignment, Session, VideoOf, VideoRequest};
-use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient, ROLLOUT_SETTINGS};
+use worker::ids::{WorkerId, host_name, machine, random_number};
+use worker::message::{Assignment, VideoOf, VideoRequest};
+use worker::policy::{PolicyClient, ROLLOUT_SETTINGS};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
@@ -219,7 +219,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
-        ..standalone_assignment(
+        ..Assignment::standalone(
             row.under(&arguments.execution),
             arguments.replicate,
             arguments.realisation,
@@ -288,23 +288,6 @@ fn wide_enough(
     })
 }
 
-/// Builds an assignment outside any campaign, without video or stored actions.
-fn standalone_assignment(row: ManifestRow, replicate: u32, realisation: Realisation) -> Assignment {
-    let attempt = random_id();
-    Assignment {
-        attempt,
-        session: Session::new(&row.id, replicate, attempt),
-        policy_seed: benchmark::seeds::policy_seed(&row.id, replicate),
-        row,
-        realisation,
-        policy: String::new(),
-        policy_endpoint: String::new(),
-        policy_deadline: POLICY_CALL_DEADLINE,
-        video: None,
-        keep_actions: false,
-    }
-}
-
 fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let row = benchmark::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
@@ -315,7 +298,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let assignment = Assignment {
         policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint,
-        ..standalone_assignment(row, arguments.replicate, arguments.realisation)
+        ..Assignment::standalone(row, arguments.replicate, arguments.realisation)
     };
     let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
     let summary = match (rescued.saved_until, rescued.lost_from) {

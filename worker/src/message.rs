@@ -15,6 +15,8 @@ use proto::coordinator::release_request::Reason;
 use serde::{Deserialize, Serialize};
 
 use crate::actor::{PolicyError, PolicySession};
+use crate::ids::random_id;
+use crate::policy::POLICY_CALL_DEADLINE;
 
 /// Longest line that either side reads, bytes. A manifest row takes about 1,000 bytes, the longest
 /// motion about 700,000.
@@ -91,6 +93,23 @@ pub enum VideoOf {
 }
 
 impl Assignment {
+    /// Creates an assignment outside any campaign, without a policy, video or stored actions.
+    pub fn standalone(row: ManifestRow, replicate: u32, realisation: Realisation) -> Self {
+        let attempt = random_id();
+        Self {
+            attempt,
+            session: Session::new(&row.id, replicate, attempt),
+            policy_seed: benchmark::seeds::policy_seed(&row.id, replicate),
+            row,
+            realisation,
+            policy: String::new(),
+            policy_endpoint: String::new(),
+            policy_deadline: POLICY_CALL_DEADLINE,
+            video: None,
+            keep_actions: false,
+        }
+    }
+
     /// Returns the names and the deadline of the session with the policy.
     pub fn policy_session(&self) -> PolicySession<'_> {
         PolicySession {

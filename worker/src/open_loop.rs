@@ -1,15 +1,11 @@
 //! Actions and description of a policy for measurements: its actions are fixed, and it asks for the
 //! same cameras and readings as the published policies.
 
-use benchmark::{ManifestRow, Realisation};
 use proto::PROTOCOL_VERSION;
 use proto::checks::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
 
 use crate::actor::{Action, Description};
-use crate::ids::random_id;
-use crate::message::{Assignment, Session};
-use crate::policy::POLICY_CALL_DEADLINE;
 
 /// Side of a frame, pixels.
 const FRAME: u32 = 256;
@@ -47,22 +43,5 @@ pub fn description(execute: u32) -> Description {
         state: STATE.to_vec(),
         horizon: execute as usize,
         execute: execute as usize,
-    }
-}
-
-/// Builds an assignment without video or stored actions.
-pub fn assignment(row: ManifestRow) -> Assignment {
-    let attempt = random_id();
-    Assignment {
-        attempt,
-        policy: "open-loop".to_owned(),
-        policy_endpoint: String::new(),
-        policy_seed: 0,
-        policy_deadline: POLICY_CALL_DEADLINE,
-        session: Session::new(&row.id, 0, attempt),
-        realisation: Realisation::Matched,
-        video: None,
-        keep_actions: false,
-        row,
     }
 }

@@ -1,8 +1,6 @@
 //! Renders previews of a configuration's perturbations, without a policy: a grid of axes and
-//! levels, a sheet of the ten presets of each axis except language, and the end-effector's paths
-//! under actuation.
+//! levels, and a sheet of the ten presets of each axis except language.
 
-mod paths;
 mod sheet;
 
 use std::path::{Path, PathBuf};
@@ -65,10 +63,6 @@ pub fn write(
     for axis in Axis::every().filter(|axis| !axis.def().parameters.is_empty()) {
         save(format!("presets_{axis}.png"), &presets_sheet(simulator, request, axis)?)?;
     }
-    let path = folder.join("actuation_paths.svg");
-    let svg = paths::svg(simulator, request)?;
-    std::fs::write(&path, svg).map_err(|error| write_error(&path, &error))?;
-    written.push(path);
     Ok(written)
 }
 

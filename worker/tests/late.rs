@@ -5,14 +5,13 @@ use std::thread::sleep;
 use std::time::Duration;
 
 use benchmark::attempt::{EXECUTION, Motion};
-use benchmark::{Execution, ManifestRow, Query, row_of};
+use benchmark::{Execution, ManifestRow, Query, Realisation, row_of};
 use proto::policy as wire;
 use scene::{AssetPack, Sources};
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use worker::ids::random_id;
-use worker::message::{FailureKind, Finished};
-use worker::open_loop::assignment;
+use worker::message::{Assignment, FailureKind, Finished};
 use worker::rollout::{Simulated, Step, Watcher, run};
 use worker::stage::Stage;
 
@@ -103,21 +102,16 @@ fn parse_model(model: &str) -> Execution {
     model.parse().expect("a model")
 }
 
-/// Returns a simulator with the built-in assets; `None` if `cargo xtask setup` was not run.
-fn simulator(test: &str) -> Option<Simulator> {
-    let sources = match Sources::open(&Sources::default_dir()) {
-        Ok(sources) => sources,
-        Err(error) => {
-            println!("skipped {test}: failed to {error}");
-            return None;
-        }
-    };
-    Some(Simulator::new(SimulatorConfig {
+/// Returns a simulator with the built-in assets.
+fn simulator() -> Simulator {
+    let sources = Sources::open(&Sources::default_dir());
+    let sources = sources.expect("the sources; run `cargo xtask setup`");
+    Simulator::new(SimulatorConfig {
         pack: AssetPack::open("primitives", &sources).expect("built in"),
         sources,
         renderer: Renderer::default(),
         cached_scenes: 1,
-    }))
+    })
 }
 
 fn row() -> ManifestRow {
@@ -133,7 +127,7 @@ fn run_under(simulator: &mut Simulator, model: &str, answers_slowly: bool) -> Co
 
 fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) -> CompletedRollout {
     let mut actor = SensitivePolicy { answers_slowly, rtc_queries: Vec::new() };
-    let mut assignment = assignment(row);
+    let mut assignment = Assignment::standalone(row, 0, Realisation::Matched);
     assignment.keep_actions = true;
     let mut sent = SentActions::default();
     let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
@@ -143,10 +137,7 @@ fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) ->
 
 #[test]
 fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
-    let test = "outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock";
-    let Some(mut simulator) = simulator(test) else {
-        return;
-    };
+    let mut simulator = simulator();
     let waits = run_under(&mut simulator, "wait", false);
     for model in [
         "wait",
@@ -176,10 +167,7 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
 
 #[test]
 fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
-    let test = "a_latency_rollout_is_nominal_with_a_delayed_policy";
-    let Some(mut simulator) = simulator(test) else {
-        return;
-    };
+    let mut simulator = simulator();
     let short_row = |id: &str| {
         let mut row = row_of(id.parse().expect("an id")).expect("a row");
         row.max_steps = STEPS;
@@ -199,10 +187,7 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
 
 #[test]
 fn only_real_time_chunking_sends_the_actions_under_way() {
-    let test = "only_real_time_chunking_sends_the_actions_under_way";
-    let Some(mut simulator) = simulator(test) else {
-        return;
-    };
+    let mut simulator = simulator();
     let ran = run_under(&mut simulator, "overlap:3,rtc", false);
     // Of ten actions, six are executed, three steps late: one query every six steps.
     let query_steps = (0..STEPS as usize).step_by(EXECUTE);
@@ -220,10 +205,7 @@ fn only_real_time_chunking_sends_the_actions_under_way() {
 
 #[test]
 fn a_delay_as_long_as_an_answer_is_a_failure_on_the_latency_axis() {
-    let test = "a_delay_as_long_as_an_answer_is_a_failure_on_the_latency_axis";
-    let Some(mut simulator) = simulator(test) else {
-        return;
-    };
+    let mut simulator = simulator();
     let id = "spatial/t0/latency/r20/c00".parse().expect("an id");
     let mut late = row_of(id).expect("a row");
     late.max_steps = STEPS;
@@ -237,11 +219,9 @@ fn a_delay_as_long_as_an_answer_is_a_failure_on_the_latency_axis() {
 
 #[test]
 fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
-    let test = "a_policy_whose_every_action_would_be_dropped_is_not_run";
-    let Some(mut simulator) = simulator(test) else {
-        return;
-    };
-    let mut assignment = assignment(row().under(&parse_model("overlap:10")));
+    let mut simulator = simulator();
+    let row = row().under(&parse_model("overlap:10"));
+    let mut assignment = Assignment::standalone(row, 0, Realisation::Matched);
     assignment.policy = "nervous".to_owned();
     let mut actor = SensitivePolicy { answers_slowly: false, rtc_queries: Vec::new() };
     let mut stage = Stage::of_the_protocol(&mut simulator).with_a_renderer_only_if_needed();

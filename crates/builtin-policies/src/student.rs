@@ -35,7 +35,7 @@
 //! `matrixmultiply` computes the products. Its kernels for AVX-512, for AVX2 with FMA,
 //! and for NEON compute exactly the sums above. Its kernels for older processors round
 //! every product first and are never used: without AVX2 or FMA, a plain loop of
-//! [`f32::mul_add`] computes the same bits ([`Products`]). Intel's processors have AVX2 and
+//! [`f32::mul_add`] computes the same bits (`product::add`). Intel's processors have AVX2 and
 //! FMA since Haswell (2013), AMD's since Excavator (2015). On older processors, which need a
 //! build without the target features of `.cargo/config.toml`, a query takes seconds instead
 //! of milliseconds.
@@ -84,5 +84,4 @@ pub const BOXES: &[u8] = include_bytes!("../weights/student-boxes.safetensors");
 
 pub use error::{QueryError, WeightsError};
 pub use network::Network;
-pub use product::Products;
 pub use query::{ACTIONS, Chunk, Output, PICTURE_BYTES, PICTURE_SIDE, Query};

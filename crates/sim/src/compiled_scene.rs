@@ -11,7 +11,7 @@ use crate::mujoco::{Model, ObjectKind, return_freed_memory};
 use crate::predicates::Goal;
 use crate::render::Prepared;
 use crate::reset::Resets;
-use crate::scene_files::{LoadedScene, Preparation, SceneFolder, name_of_scene};
+use crate::scene_files::{LoadedScene, SceneFolder, name_of_scene};
 
 /// `mjDSBL_CONSTRAINT`: disables contacts, limits and friction.
 pub(crate) const DISABLE_CONSTRAINT: i32 = 1;
@@ -31,7 +31,6 @@ pub struct CompiledScene {
     pub(crate) hand_body: usize,
     pub(crate) grip_site: usize,
     prepared: OnceLock<Arc<Prepared>>,
-    preparation: Preparation,
 }
 
 /// Site that is visible while its stove is on.
@@ -54,7 +53,7 @@ impl CompiledScene {
         };
         let LoadedScene { mut model, prepared } = match SceneFolder::of_process() {
             Some(folder) => folder.obtain(&name_of_scene(&scene, pack, sources), compile)?,
-            None => LoadedScene::in_memory(compile()?),
+            None => LoadedScene { model: compile()?, prepared: None },
         };
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
         let resets = Resets::resolve(&scene.samplers, &model)?;
@@ -70,8 +69,7 @@ impl CompiledScene {
             resets,
             hand_body: model.id(ObjectKind::Body, HAND_BODY)?,
             grip_site: model.id(ObjectKind::Site, GRIP_SITE)?,
-            prepared: OnceLock::new(),
-            preparation: prepared,
+            prepared: prepared.map_or_else(OnceLock::new, OnceLock::from),
             scene,
             model,
         })
@@ -90,15 +88,8 @@ impl CompiledScene {
         if let Some(prepared) = self.prepared.get() {
             return Ok(Arc::clone(prepared));
         }
-        let prepared = match &self.preparation {
-            Preparation::InMemory(prepared) => Arc::clone(prepared),
-            Preparation::InFile(bytes) => Arc::new(Prepared::from_bytes(&self.model, bytes)?),
-            Preparation::Missing => {
-                let prepared = Arc::new(Prepared::from_model(&self.model)?);
-                return_freed_memory();
-                prepared
-            }
-        };
+        let prepared = Arc::new(Prepared::from_model(&self.model)?);
+        return_freed_memory();
         // If another thread was faster, all threads use that thread's data.
         Ok(Arc::clone(self.prepared.get_or_init(|| prepared)))
     }

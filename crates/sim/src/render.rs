@@ -17,7 +17,7 @@ use std::sync::Arc;
 
 use gl::GlCanvas;
 pub use gl_context::{GlContext, GlDevice};
-pub(crate) use prepare::{Prepared, PreparedBytes, digest_of_texture};
+pub(crate) use prepare::{Prepared, digest_of_texture};
 use software::SoftwareCanvas;
 use thread_bound::ThreadBound;
 

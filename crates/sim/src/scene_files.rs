@@ -10,7 +10,6 @@
 //! error.
 
 mod container;
-mod evict;
 mod folder;
 #[cfg(test)]
 mod tests;
@@ -21,34 +20,27 @@ use std::ffi::OsStr;
 use std::fs;
 use std::os::unix::fs::MetadataExt;
 use std::path::Path;
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
 
 use scene::{AssetPack, Scene, Sources};
 use sha2::{Digest, Sha256};
 
 pub use folder::{SceneFileError, SceneFolder};
 
-use crate::error::SimError;
 use crate::mujoco::{self, Model, STRUCTURE};
-use crate::render::{Prepared, PreparedBytes};
+use crate::render::Prepared;
 
-const FORMAT: u32 = 1;
+const FORMAT: u32 = 2;
+/// Number of hexadecimal digits in the name of a scene or texture.
 const NAME_DIGITS: usize = 32;
 /// Value of `ROLLOUT_SCENES` and `--scenes` that disables scene files.
 const OFF: &str = "off";
 
-/// Name of a scene or texture: hexadecimal digits.
-type Name = [u8; NAME_DIGITS];
-
 pub(crate) struct LoadedScene {
     pub(crate) model: Model,
-    pub(crate) prepared: Preparation,
-}
-
-pub(crate) enum Preparation {
-    Missing,
-    InMemory(Arc<Prepared>),
-    InFile(PreparedBytes),
+    /// `None` until the software renderer first draws the scene.
+    pub(crate) prepared: Option<Arc<Prepared>>,
 }
 
 impl SceneFolder {
@@ -70,70 +62,13 @@ impl SceneFolder {
 
     /// Returns the first error of scene files in this process, once.
     pub fn take_problem() -> Option<String> {
-        let mut problem = PROBLEM.lock().unwrap_or_else(PoisonError::into_inner);
-        match std::mem::replace(&mut *problem, Problem::Reported) {
-            Problem::Found(problem) => Some(problem),
-            Problem::Reported => None,
-            Problem::None => {
-                *problem = Problem::None;
-                None
-            }
-        }
-    }
-
-    /// Maps the scene with this name, or compiles it and stores it for other processes. Only one
-    /// process at a time compiles a scene; others wait for its file.
-    pub(crate) fn obtain(
-        &self,
-        name: &Name,
-        compile: impl FnOnce() -> Result<Model, SimError>,
-    ) -> Result<LoadedScene, SimError> {
-        let lock = match self.load_or_lock(name) {
-            Ok(Ok(loaded)) => return Ok(loaded),
-            Ok(Err(lock)) => lock,
-            Err(problem) => {
-                record_problem(&problem);
-                return Ok(LoadedScene::in_memory(compile()?));
-            }
-        };
-        let model = compile()?;
-        // A scene that the software renderer cannot draw is rejected when it is drawn.
-        let Ok(prepared) = Prepared::from_model(&model) else {
-            return Ok(LoadedScene::in_memory(model));
-        };
-        let stored = self.store(name, &model, &prepared);
-        drop(lock);
-        match stored.and_then(|()| self.load(name)) {
-            Ok(Some(loaded)) => {
-                drop((model, prepared));
-                mujoco::return_freed_memory();
-                return Ok(loaded);
-            }
-            Ok(None) => {}
-            Err(problem) => record_problem(&problem),
-        }
-        Ok(LoadedScene { model, prepared: Preparation::InMemory(Arc::new(prepared)) })
-    }
-
-    /// Returns the scene, or the lock that a process holds while it compiles the scene.
-    fn load_or_lock(&self, name: &Name) -> Result<Result<LoadedScene, fs::File>, SceneFileError> {
-        if let Some(loaded) = self.load(name)? {
-            return Ok(Ok(loaded));
-        }
-        let lock = self.lock(&format!("{}.lock", name_text(name)))?;
-        // Another process may have stored the scene in the meantime.
-        Ok(self.load(name)?.ok_or(lock))
-    }
-}
-
-impl LoadedScene {
-    pub(crate) fn in_memory(model: Model) -> Self {
-        Self { model, prepared: Preparation::Missing }
+        static IS_REPORTED: AtomicBool = AtomicBool::new(false);
+        PROBLEM.get().filter(|_| !IS_REPORTED.swap(true, Ordering::Relaxed)).cloned()
     }
 }
 
 /// A digest of the MJCF, of the files that it references, and of the program's [`layout`].
-pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) -> Name {
+pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) -> String {
     let mut hash = Sha256::new();
     hash.update(layout());
     hash.update(pack.digest());
@@ -147,7 +82,7 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
         }
     }
     hash.update(scene.portable_mjcf());
-    digits(&hash.finalize())
+    hex::encode(&hash.finalize()[..NAME_DIGITS / 2])
 }
 
 /// Parts that a layout depends on: machine, MuJoCo, and the code that prepares meshes and textures.
@@ -155,18 +90,6 @@ fn layout() -> String {
     let endian = if cfg!(target_endian = "big") { "big" } else { "little" };
     let (mujoco, raster) = (mujoco::version(), raster::SOURCES);
     format!("{FORMAT} {ARCH} {endian} {STRUCTURE} {mujoco} {raster}\n")
-}
-
-fn digits(digest: &[u8]) -> Name {
-    const DIGITS: &[u8] = b"0123456789abcdef";
-    std::array::from_fn(|at| {
-        let byte = digest[at / 2];
-        DIGITS[usize::from(if at % 2 == 0 { byte >> 4 } else { byte & 15 })]
-    })
-}
-
-fn name_text(name: &Name) -> &str {
-    std::str::from_utf8(name).expect("digits")
 }
 
 static CHOSEN_FOLDER: OnceLock<Option<SceneFolder>> = OnceLock::new();
@@ -179,21 +102,14 @@ fn from_setting(setting: Option<&OsStr>) -> Option<SceneFolder> {
     }
 }
 
-enum Problem {
-    None,
-    Found(String),
-    Reported,
-}
-
-static PROBLEM: Mutex<Problem> = Mutex::new(Problem::None);
+static PROBLEM: OnceLock<String> = OnceLock::new();
 
 fn record_problem(error: &SceneFileError) {
-    let mut problem = PROBLEM.lock().unwrap_or_else(PoisonError::into_inner);
-    if let Problem::None = *problem {
+    PROBLEM.get_or_init(|| {
         let cause = error.source().map(|cause| format!(": {cause}"));
-        *problem = Problem::Found(format!(
+        format!(
             "a scene is kept in the memory of this process alone: failed to {error}{}",
             cause.unwrap_or_default()
-        ));
-    }
+        )
+    });
 }

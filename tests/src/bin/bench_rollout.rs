@@ -28,7 +28,7 @@ use tests::files::open_pack;
 use tests::measure::{Clock, Spread};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use worker::message::Assignment;
-use worker::open_loop::{assignment, description, smooth_action};
+use worker::open_loop::{description, smooth_action};
 use worker::policy::infer_request;
 use worker::rollout::{Step, Watcher};
 use worker::stage::Stage;
@@ -273,7 +273,7 @@ fn run(arguments: &Arguments) -> Result<()> {
             renderer: arguments.renderer,
             cached_scenes: 1,
         }),
-        assignment: assignment(row),
+        assignment: Assignment::standalone(row, 0, Realisation::Matched),
         description: description(arguments.execute),
         actions,
         clock: match arguments.renderer {

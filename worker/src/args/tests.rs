@@ -1,8 +1,6 @@
 #[path = "../../../crates/terminal/tests/helps/mod.rs"]
 mod helps;
 
-use sim::GlDevice;
-
 use super::*;
 
 fn parse(line: &str) -> Result<Arguments, clap::Error> {
@@ -43,17 +41,6 @@ fn a_worker_needs_a_coordinator_and_simulates_libero() {
     assert_eq!(parse(line).expect_err(line).exit_code(), 2);
     let arguments = parse("worker --connect http://h:1").expect("a valid command line");
     assert_eq!(arguments.simulator.assets, "libero");
-}
-
-#[test]
-fn one_rollout_needs_no_coordinator() {
-    let line = "worker rollout --id spatial/t0/nominal/i07 --endpoint grpc://h:1 \
-                --assets primitives --output out --renderer gl:1";
-    let arguments = parse(line).expect("a valid command line");
-    let Some(Command::Rollout(rollout)) = arguments.command else { panic!("{arguments:?}") };
-    assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
-    let error = parse(&line.replace("nominal", "clear")).expect_err("an unknown condition");
-    assert!(error.to_string().contains("camera"), "{error}");
 }
 
 #[test]

@@ -1,11 +1,11 @@
-//! Tests of lifted perturbations, on the built-in assets; skipped without `cargo xtask setup`.
+//! Tests of lifted perturbations, on the built-in assets.
 
 use benchmark::{ManifestRow, Realisation, row_of};
 use sim::ObjectKind;
 use sim::controller::GRIP_SITE;
 
 use super::*;
-use crate::single::tests::{ObservingActor, assignment, simulator, sources};
+use crate::single::tests::{ObservingActor, assignment, simulator};
 
 const SIDE: u32 = 64;
 const STEPS: u32 = 12;
@@ -57,11 +57,7 @@ fn camera_of(observation: &proto::policy::Observation, at: usize) -> Vec<u8> {
 
 #[test]
 fn lifting_before_the_first_query_gives_the_nominal_rollout() {
-    let test = "lifting_before_the_first_query_gives_the_nominal_rollout";
-    let Some(sources) = sources(test) else {
-        return;
-    };
-    let mut simulator = simulator(sources);
+    let mut simulator = simulator();
     // All axes but the robot's are perturbed, because its displacement of the arm would remain.
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/nominal/i{:02}", perturbed.init_id));
@@ -80,11 +76,7 @@ fn lifting_before_the_first_query_gives_the_nominal_rollout() {
 
 #[test]
 fn a_resumed_rollout_repeats_the_earlier_steps() {
-    let test = "a_resumed_rollout_repeats_the_earlier_steps";
-    let Some(sources) = sources(test) else {
-        return;
-    };
-    let mut simulator = simulator(sources);
+    let mut simulator = simulator();
     let perturbed = row("object/t0/simultaneous/L2/c00");
     let uninterrupted = run_rollout(&mut simulator, perturbed.clone(), None);
     let step = 5;
@@ -112,11 +104,7 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
 
 #[test]
 fn a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object() {
-    let test = "a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object";
-    let Some(sources) = sources(test) else {
-        return;
-    };
-    let mut simulator = simulator(sources);
+    let mut simulator = simulator();
     let mut stage = Stage::of_the_protocol(&mut simulator);
     let row = row("object/t0/simultaneous/L2/c00");
     let mut episode = stage.begin(&row, Realisation::Matched).expect("an episode");
@@ -140,11 +128,7 @@ fn a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object() {
 
 #[test]
 fn a_rollout_without_perturbations_is_refused() {
-    let test = "a_rollout_without_perturbations_is_refused";
-    let Some(sources) = sources(test) else {
-        return;
-    };
-    let mut simulator = simulator(sources);
+    let mut simulator = simulator();
     let folder = tempfile::tempdir().expect("a temporary folder");
     for id in ["object/t0/nominal/i00", "object/t0/latency/L2/c00"] {
         let mut actor =

@@ -1,7 +1,5 @@
 //! Tests of `worker rollout` by id, with a user's own task, and from a recording; on the built-in
-//! assets, and skipped without `cargo xtask setup`.
-
-use std::time::Duration;
+//! assets.
 
 use crate::video::PANE_SIDE;
 use benchmark::attempt::GoalProgress;
@@ -14,8 +12,7 @@ use sim::{Renderer, SimulatorConfig};
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};
 use crate::filming::{Replay, render_again};
-use crate::ids::random_id;
-use crate::message::{Session, VideoOf, VideoRequest};
+use crate::message::{VideoOf, VideoRequest};
 
 #[test]
 fn a_rollout_id_determines_the_simulation() {
@@ -48,15 +45,12 @@ fn drawer_task(sources: &Sources) -> OwnTask {
     }
 }
 
-pub(crate) fn sources(test: &str) -> Option<Sources> {
-    let opened = Sources::open(&Sources::default_dir());
-    if let Err(error) = &opened {
-        println!("skipped {test}: failed to {error}");
-    }
-    opened.ok()
+fn sources() -> Sources {
+    Sources::open(&Sources::default_dir()).expect("the sources; run `cargo xtask setup`")
 }
 
-pub(crate) fn simulator(sources: Sources) -> Simulator {
+pub(crate) fn simulator() -> Simulator {
+    let sources = sources();
     Simulator::new(SimulatorConfig {
         pack: AssetPack::open("primitives", &sources).expect("built in"),
         sources,
@@ -66,19 +60,8 @@ pub(crate) fn simulator(sources: Sources) -> Simulator {
 }
 
 pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
-    let attempt = random_id();
-    Assignment {
-        attempt,
-        session: Session::new(&row.id, 0, attempt),
-        row,
-        realisation: Realisation::Matched,
-        policy: String::new(),
-        policy_endpoint: String::new(),
-        policy_seed: 0,
-        policy_deadline: Duration::from_secs(1),
-        video: video.map(|file| VideoRequest { file: file.to_owned(), of: VideoOf::Everything }),
-        keep_actions: false,
-    }
+    let video = video.map(|file| VideoRequest { file: file.to_owned(), of: VideoOf::Everything });
+    Assignment { video, ..Assignment::standalone(row, 0, Realisation::Matched) }
 }
 
 /// Returns the shape and the values of an array in a trace.
@@ -92,16 +75,12 @@ fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
 
 #[test]
 fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
-    let test = "a_users_task_is_run_from_a_recording_and_again_from_its_trace";
-    let Some(sources) = sources(test) else {
-        return;
-    };
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("actions.jsonl");
     let lines = "[0.5, 0, -0.5, 0, 0, 0, -1]\n\n[2.0, 0, 0, 0, 0, 0.1, 1]\n".repeat(4);
     fs::write(&recording, lines).expect("writes");
-    let task = drawer_task(&sources);
-    let mut simulator = simulator(sources);
+    let task = drawer_task(&sources());
+    let mut simulator = simulator();
     let mut replay = |recording: &Path, output: &Path| {
         let mut recorded = RecordedActions::read(recording).expect("actions");
         let row = task.row().expect("a row");
@@ -143,12 +122,8 @@ fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
 /// of 2 and an answer of 1 give different commands.
 #[test]
 fn answers_are_distorted_before_clipping_as_in_the_released_code() {
-    let test = "answers_are_distorted_before_clipping_as_in_the_released_code";
-    let Some(sources) = sources(test) else {
-        return;
-    };
     let folder = tempfile::tempdir().expect("a folder");
-    let mut simulator = simulator(sources);
+    let mut simulator = simulator();
     let mut path_of = |id: &str, realisation: Realisation, size: f64| {
         let recording = folder.path().join("actions.jsonl");
         let line = format!("[{size}, 0, -{size}, 0, 0, 0, -1]\n");
@@ -187,10 +162,6 @@ fn answers_are_distorted_before_clipping_as_in_the_released_code() {
 
 #[test]
 fn first_and_last_frames_are_written_for_a_recording() {
-    let test = "first_and_last_frames_are_written_for_a_recording";
-    let Some(sources) = sources(test) else {
-        return;
-    };
     let folder = tempfile::tempdir().expect("a folder");
     let recording = folder.path().join("actions.jsonl");
     fs::write(&recording, "[1, 0, -1, 0, 0, 0, -1]\n".repeat(4)).expect("writes");
@@ -206,12 +177,7 @@ fn first_and_last_frames_are_written_for_a_recording() {
         renders_ends: true,
         output: folder.path(),
     };
-    let mut simulator = simulator(sources);
-    if let Err(error) = simulator.renderer_name() {
-        println!("skipped {test}: failed to {error}");
-        return;
-    }
-    run(&mut simulator, &mut recorded, &request).expect("an outcome");
+    run(&mut simulator(), &mut recorded, &request).expect("an outcome");
     let picture = |name: &str| {
         let file = folder.path().join("frames").join(name);
         image::open(file).expect("a picture").into_rgb8()
@@ -335,11 +301,7 @@ fn run_and_film(
 
 #[test]
 fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
-    let test = "films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption";
-    let Some(sources) = sources(test) else {
-        return;
-    };
-    let mut simulator = simulator(sources);
+    let mut simulator = simulator();
     let mut sensor = row_of("object/t0/sensor/L3/c03".parse().expect("an id")).expect("a row");
     sensor.max_steps = 4;
     let nominal =

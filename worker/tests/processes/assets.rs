@@ -8,7 +8,7 @@ use proto::coordinator::ClaimRequest;
 use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::ScriptedCoordinator;
-use crate::worker_process::{WorkerProcess, lease, program, ready, run};
+use crate::worker_process::{WorkerProcess, lease, program, run};
 
 fn code_and_output(output: Output) -> (Option<i32>, String) {
     let output_text = [output.stdout, output.stderr].concat();
@@ -46,9 +46,6 @@ fn lacking(claim: &ClaimRequest, files: &str) -> Vec<String> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
-    if !ready("a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     empty_sources(folder.path());
     let coordinator = ScriptedCoordinator::start().await;
@@ -75,9 +72,6 @@ async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
-    if !ready("tasks_that_a_pack_cannot_show_are_named_and_not_claimed") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     let pack = copy_of_primitives(folder.path());
     fs::remove_file(pack.join("articulated_objects/microwave.xml")).expect("the model exists");
@@ -97,9 +91,6 @@ async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
 
 #[test]
 fn packs_are_verified_against_liberos_files() {
-    if !ready("packs_are_verified_against_liberos_files") {
-        return;
-    }
     let (code, built_in) = code_and_output(run(&["assets", "--verify", "primitives"]));
     assert_eq!(code, Some(0), "{built_in}");
     assert!(built_in.contains("all files have the expected digest"));
@@ -126,9 +117,6 @@ fn packs_are_verified_against_liberos_files() {
 
 #[test]
 fn an_empty_libero_pack_is_accepted_and_lists_its_downloads() {
-    if !ready("an_empty_libero_pack_is_accepted_and_lists_its_downloads") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     empty_sources(folder.path());
     let sources = folder.path().to_str().expect("UTF-8");
@@ -164,9 +152,6 @@ fn an_empty_libero_pack_is_accepted_and_lists_its_downloads() {
 #[test]
 fn an_altered_file_is_named_and_changes_the_packs_name() {
     let test = "an_altered_file_is_named_and_changes_the_packs_name";
-    if !ready(test) {
-        return;
-    }
     let arena = "scenes/libero_floor_base_style.xml";
     let managed = scene::Sources::fetched_pack(&scene::Sources::default_dir());
     if !managed.join(arena).is_file() {

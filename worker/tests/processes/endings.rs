@@ -6,7 +6,7 @@ use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::ScriptedCoordinator;
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_end_of};
+use crate::worker_process::{WorkerProcess, lease, signal, wait_for_the_end_of};
 
 /// Starts a worker with a rollout of some seconds, and waits until the rollout is under way.
 async fn busy_worker() -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
@@ -28,9 +28,6 @@ async fn busy_worker_with(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_drain_finishes_the_running_rollout_and_starts_no_other() {
-    if !ready("a_drain_finishes_the_running_rollout_and_starts_no_other") {
-        return;
-    }
     let (worker, coordinator, policy) = busy_worker().await;
     coordinator.lease(lease(2, "still", &policy.url()));
     // A service manager often sends a signal to all processes of a service.
@@ -48,9 +45,6 @@ async fn a_drain_finishes_the_running_rollout_and_starts_no_other() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_second_request_to_end_gives_the_rollout_back() {
-    if !ready("a_second_request_to_end_gives_the_rollout_back") {
-        return;
-    }
     let (worker, coordinator, _policy) = busy_worker().await;
     worker.signal("INT");
     tokio::time::sleep(Duration::from_secs(1)).await;
@@ -62,9 +56,6 @@ async fn a_second_request_to_end_gives_the_rollout_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_drain_that_takes_too_long_gives_the_rollout_back() {
-    if !ready("a_drain_that_takes_too_long_gives_the_rollout_back") {
-        return;
-    }
     let (worker, coordinator, _policy) = busy_worker_with(&["--drain-secs", "0"]).await;
     worker.signal("TERM");
     coordinator.message(1).await.release(Reason::Draining);
@@ -74,9 +65,6 @@ async fn a_drain_that_takes_too_long_gives_the_rollout_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
-    if !ready("a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not") {
-        return;
-    }
     let idle = ["--idle-secs", "1"];
     let (worker, coordinator, _policy) = busy_worker_with(&idle).await;
     let result = coordinator.message(1).await.commit().result;
@@ -90,9 +78,6 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
 /// a new campaign to its assets.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_draining_worker_withdraws_its_claim() {
-    if !ready("a_draining_worker_withdraws_its_claim") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.wait_for_claims(1).await;
@@ -105,9 +90,6 @@ async fn a_draining_worker_withdraws_its_claim() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
-    if !ready("an_idle_worker_ends_at_once_and_leaves_no_process") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.wait_for_claims(1).await;
@@ -121,9 +103,6 @@ async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn slots_end_with_a_worker_that_is_killed() {
-    if !ready("slots_end_with_a_worker_that_is_killed") {
-        return;
-    }
     let (worker, _coordinator, _policy) = busy_worker().await;
     let slots = worker.slots();
     assert_eq!(slots.len(), 1);
@@ -134,9 +113,6 @@ async fn slots_end_with_a_worker_that_is_killed() {
 /// Rollout ids do not name the campaign, so log lines must name it.
 #[tokio::test(flavor = "multi_thread")]
 async fn rollouts_of_two_campaigns_have_one_log_line_each() {
-    if !ready("rollouts_of_two_campaigns_have_one_log_line_each") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     for (job, campaign) in [(1, "first"), (2, "second")] {

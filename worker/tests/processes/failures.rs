@@ -6,7 +6,7 @@ use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal, wait_for_the_end_of};
+use crate::worker_process::{WorkerProcess, attempt_id, lease, signal, wait_for_the_end_of};
 
 /// Runs one rollout per policy and asserts that each is released for `reason`, with the expected
 /// words.
@@ -30,9 +30,6 @@ async fn check(
 
 #[tokio::test(flavor = "multi_thread")]
 async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
-    if !ready("answers_that_no_robot_can_execute_are_the_policys_fault") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     check(
@@ -58,9 +55,6 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unavailable_policy_charges_no_rollout() {
-    if !ready("an_unavailable_policy_charges_no_rollout") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     // An answer may take at most half of the progress timeout.
     let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
@@ -83,9 +77,6 @@ async fn an_unavailable_policy_charges_no_rollout() {
 /// Reset kills the policy was tried for ever.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_attempt_loses_its_policy_at_whatever_call_follows_the_description() {
-    if !ready("an_attempt_loses_its_policy_at_whatever_call_follows_the_description") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     let expected = [
@@ -107,9 +98,6 @@ async fn an_attempt_loses_its_policy_at_whatever_call_follows_the_description() 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_endpoint_where_nobody_listens_is_named() {
-    if !ready("an_endpoint_where_nobody_listens_is_named") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let nobody = "http://127.0.0.1:9";
     check(coordinator, nobody, Reason::PolicyUnavailable, &[("any", nobody)]).await;
@@ -117,9 +105,6 @@ async fn an_endpoint_where_nobody_listens_is_named() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
-    if !ready("a_slot_that_dies_costs_its_rollout_and_is_replaced") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
@@ -141,9 +126,6 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_without_progress_is_killed_and_replaced() {
-    if !ready("a_slot_without_progress_is_killed_and_replaced") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
     coordinator.lease(lease(1, "slow", &policy.url()));
@@ -167,9 +149,6 @@ async fn a_slot_without_progress_is_killed_and_replaced() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lost_lease_abandons_the_rollout_without_a_report() {
-    if !ready("a_lost_lease_abandons_the_rollout_without_a_report") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
@@ -185,9 +164,6 @@ async fn a_lost_lease_abandons_the_rollout_without_a_report() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_worker_stopped_by_the_coordinator_fails_with_the_reason() {
-    if !ready("a_worker_stopped_by_the_coordinator_fails_with_the_reason") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     coordinator.stop_leasing("it has failed 5 times in a row");
     coordinator.lease(lease(1, "any", "http://127.0.0.1:9"));

@@ -8,7 +8,7 @@ use proto::coordinator::{Film, Lease};
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, program, ready};
+use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, program};
 
 /// Size of a point: three 16-bit numbers.
 const POINT_BYTES: usize = 6;
@@ -66,9 +66,6 @@ async fn video(coordinator: &ScriptedCoordinator, number: usize) -> (String, Vec
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_rollout_is_filmed_from_its_actions_without_its_policy() {
-    if !ready("a_rollout_is_filmed_from_its_actions_without_its_policy") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let film = filmable_rollout(&coordinator).await;
     coordinator.film(film);
@@ -85,9 +82,6 @@ async fn a_rollout_is_filmed_from_its_actions_without_its_policy() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
-    if !ready("several_rollouts_are_filmed_in_parallel_with_progress_in_the_log") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let film = filmable_rollout(&coordinator).await;
     for number in 1..=3 {
@@ -108,9 +102,6 @@ async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_film_that_ends_differently_from_its_rollout_is_not_stored() {
-    if !ready("a_film_that_ends_differently_from_its_rollout_is_not_stored") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let mut film = filmable_rollout(&coordinator).await;
     film.success = !film.success;
@@ -141,9 +132,6 @@ async fn films_of(row: &ManifestRow) -> [Vec<u8>; 2] {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
-    if !ready("a_later_film_equals_the_slots_film_and_shows_sensor_corruption") {
-        return;
-    }
     let row = |id: String| {
         let row = benchmark::row_of(id.parse().expect("an id"));
         ManifestRow { max_steps: MAX_STEPS, ..row.expect("a row") }

@@ -4,13 +4,10 @@ use std::time::{Duration, Instant};
 
 use crate::scripted_coordinator::ScriptedCoordinator;
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
+use crate::worker_process::{WorkerProcess, attempt_id, lease};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_claim_whose_answer_is_lost_is_repeated_with_the_same_id() {
-    if !ready("a_claim_whose_answer_is_lost_is_repeated_with_the_same_id") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.lose_an_answer_to_a_claim();
@@ -31,9 +28,6 @@ async fn a_claim_whose_answer_is_lost_is_repeated_with_the_same_id() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due() {
-    if !ready("a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due") {
-        return;
-    }
     let (heartbeat, progress_timeout) = (Duration::from_secs(50), Duration::from_secs(600));
     let coordinator = ScriptedCoordinator::with_times(heartbeat, progress_timeout).await;
     let policy = ScriptedPolicy::start().await;

@@ -3,15 +3,12 @@
 use std::thread::available_parallelism;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
-use crate::worker_process::{WorkerProcess, ready};
+use crate::worker_process::WorkerProcess;
 
 /// Regression: 100,000 slots were started one after the other; the worker reached 5,000 processes,
 /// and did not respond to SIGTERM for eleven minutes.
 #[test]
 fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
-    if !ready("more_slots_than_the_machine_can_hold_are_refused_before_any_is_started") {
-        return;
-    }
     let worker = WorkerProcess::start_with("http://127.0.0.1:9", &["--slots", "100000"]);
     let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1), "{log}");
@@ -22,9 +19,6 @@ fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn automatic_slots_are_registered_and_explained() {
-    if !ready("automatic_slots_are_registered_and_explained") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--slots", "auto"]);
     let WorkerMessage::Registered(registered) = coordinator.message(0).await else {

@@ -1,8 +1,6 @@
 //! The real worker program with real slots, which simulate real tasks with the built-in assets,
-//! between a scripted coordinator and a policy server that misbehaves on demand.
-//!
-//! The tests need the files that `cargo xtask setup` unpacks; without them, each test prints that
-//! it is skipped, and passes.
+//! between a scripted coordinator and a policy server that misbehaves on demand. They need the files
+//! that `cargo xtask setup` unpacks.
 
 mod assets;
 mod endings;

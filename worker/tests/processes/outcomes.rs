@@ -6,13 +6,10 @@ use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
-use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, ready, run};
+use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, run};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_result_carries_its_provenance() {
-    if !ready("a_result_carries_its_provenance") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "observing", &policy.url()));
@@ -45,9 +42,6 @@ async fn a_result_carries_its_provenance() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_policy_gets_the_requested_observation_once_per_query() {
-    if !ready("a_policy_gets_the_requested_observation_once_per_query") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "observing", &policy.url()));
@@ -75,9 +69,6 @@ async fn a_policy_gets_the_requested_observation_once_per_query() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_canonical_only_policy_gets_no_paraphrase() {
-    if !ready("a_canonical_only_policy_gets_no_paraphrase") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     for (job, name) in [(1, "observing"), (2, "by-heart")] {
@@ -107,23 +98,7 @@ async fn a_canonical_only_policy_gets_no_paraphrase() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn actions_beyond_the_range_are_clipped_and_counted() {
-    if !ready("actions_beyond_the_range_are_clipped_and_counted") {
-        return;
-    }
-    let coordinator = ScriptedCoordinator::start().await;
-    let policy = ScriptedPolicy::start().await;
-    coordinator.lease(lease(1, "wild", &policy.url()));
-    let _worker = WorkerProcess::start(&coordinator.url());
-    let result = coordinator.message(1).await.commit().result;
-    assert_eq!(result.clipped_actions, MAX_STEPS);
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_rollout_without_frames_names_its_slots_renderer_too() {
-    if !ready("a_rollout_without_frames_names_its_slots_renderer_too") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     for (job, name) in [(1, "still"), (2, "observing")] {
@@ -141,9 +116,6 @@ async fn a_rollout_without_frames_names_its_slots_renderer_too() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
-    if !ready("the_same_rollout_has_the_same_outcome_and_frames_every_time") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     for job in 1..=2 {
@@ -163,9 +135,6 @@ async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_outcome_is_kept_until_the_coordinator_is_back() {
-    if !ready("an_outcome_is_kept_until_the_coordinator_is_back") {
-        return;
-    }
     let mut coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
@@ -185,9 +154,6 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn worker_rollout_writes_its_result_and_frames() {
-    if !ready("worker_rollout_writes_its_result_and_frames") {
-        return;
-    }
     let policy = ScriptedPolicy::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     let output = folder.path().to_str().expect("UTF-8").to_owned();
@@ -225,9 +191,6 @@ async fn worker_rollout_writes_its_result_and_frames() {
 /// renderer does not matter.
 #[test]
 fn a_replay_without_pictures_opens_no_renderer() {
-    if !ready("a_replay_without_pictures_opens_no_renderer") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     let actions = folder.path().join("actions.jsonl");
     std::fs::write(&actions, "[0, 0, 0, 0, 0, 0, -1]\n".repeat(3)).expect("written");
@@ -255,9 +218,6 @@ fn a_replay_without_pictures_opens_no_renderer() {
 /// reason and has no outcome.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unreadable_row_is_released_with_the_reason() {
-    if !ready("an_unreadable_row_is_released_with_the_reason") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let mut unreadable = lease(1, "still", "http://127.0.0.1:9");
     unreadable.manifest_row = unreadable.manifest_row.replace("object/t0", "object/t1");

@@ -135,7 +135,6 @@ impl Policy for Service {
             "ragged" => actions = answer(13, 7),
             "empty" => actions = answer(0, 7),
             "generous" => actions = answer(full + 7, 7),
-            "wild" => actions.actions.fill(1.5),
             "broken" => return Err(Status::internal("CUDA error: device-side assert triggered")),
             "dying-at-query" if query == 2 => {
                 return Err(Status::unavailable("the server has died"));

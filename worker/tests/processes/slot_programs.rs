@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
-use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
+use crate::worker_process::{WorkerProcess, attempt_id, lease};
 
 /// Writes a program that takes the place of a slot; returns its path.
 fn slot_program(folder: &Path, script: &str) -> String {
@@ -14,7 +14,7 @@ fn slot_program(folder: &Path, script: &str) -> String {
     program.to_str().expect("UTF-8").to_owned()
 }
 
-/// Shell code of a slot that reports that it is ready, and functions that read commands, extract
+/// Shell code of a slot that reports that it is and functions that read commands, extract
 /// their attempts and send events. Output to `&0` goes to the parent.
 const SHELL_SLOT: &str = r#"
 send_line() { printf '%s\n' "$1" >&0; }
@@ -55,9 +55,6 @@ async fn worker_with(script: &str, folder: &Path) -> (WorkerProcess, ScriptedCoo
 
 #[tokio::test(flavor = "multi_thread")]
 async fn library_output_amid_events_loses_no_event() {
-    if !ready("library_output_amid_events_loses_no_event") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     let script = "while :; do
         next_attempt
@@ -79,9 +76,6 @@ async fn library_output_amid_events_loses_no_event() {
 /// Simulates a crash of the video encoder in every rollout.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() {
-    if !ready("a_crash_while_filming_leaves_the_result_committed_and_charges_nobody") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     let script = "next_attempt; send_event \"$(result 21 true)\"; kill -SEGV $$";
     let (worker, coordinator) = worker_with(script, folder.path()).await;
@@ -97,9 +91,6 @@ async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() 
 
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_about_another_attempt_are_ignored() {
-    if !ready("messages_about_another_attempt_are_ignored") {
-        return;
-    }
     let folder = tempfile::tempdir().expect("a folder");
     let script = "while :; do
         next_attempt
@@ -119,9 +110,6 @@ async fn messages_about_another_attempt_are_ignored() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn slots_with_different_renderers_stop_the_worker() {
-    if !ready("slots_with_different_renderers_stop_the_worker") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     let script = format!(
@@ -150,9 +138,6 @@ async fn slots_with_different_renderers_stop_the_worker() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() {
-    if !ready("a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let folder = tempfile::tempdir().expect("a folder");
     let program = slot_program(folder.path(), "echo libEGL is missing >&2\nexit 3\n");

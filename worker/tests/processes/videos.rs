@@ -9,7 +9,7 @@ use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
-use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal};
+use crate::worker_process::{WorkerProcess, attempt_id, lease, signal};
 
 /// Returns the lease of a filmed rollout of at most 160 control steps.
 fn filmed(job: i64, policy: &str) -> Lease {
@@ -21,9 +21,6 @@ fn filmed(job: i64, policy: &str) -> Lease {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_video_of_a_failure_arrives_after_its_result() {
-    if !ready("a_video_of_a_failure_arrives_after_its_result") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     let mut filmed = lease(1, "still", &policy.url());
@@ -41,9 +38,6 @@ async fn a_video_of_a_failure_arrives_after_its_result() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn heartbeats_report_filming_and_never_count_it_as_steps() {
-    if !ready("heartbeats_report_filming_and_never_count_it_as_steps") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     let filmed = filmed(1, &policy.url());
@@ -62,29 +56,7 @@ async fn heartbeats_report_filming_and_never_count_it_as_steps() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slot_killed_while_it_films_costs_the_video_and_not_the_result() {
-    if !ready("a_slot_killed_while_it_films_costs_the_video_and_not_the_result") {
-        return;
-    }
-    let coordinator = ScriptedCoordinator::start().await;
-    let policy = ScriptedPolicy::start().await;
-    coordinator.lease(filmed(1, &policy.url()));
-    let worker = WorkerProcess::start(&coordinator.url());
-    let commit = coordinator.message(1).await.commit();
-    assert_eq!(commit.attempt_id, attempt_id(1));
-    for slot in worker.slots() {
-        signal(slot, "KILL");
-    }
-    coordinator.lease(lease(2, "still", &policy.url()));
-    let commit = coordinator.message(2).await.commit();
-    assert_eq!(commit.attempt_id, attempt_id(2), "no video, no release");
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
-    if !ready("a_coordinator_that_cannot_store_videos_gets_every_result") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.refuse_artifacts();
@@ -108,9 +80,6 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_video_of_a_refused_result_is_not_sent() {
-    if !ready("a_video_of_a_refused_result_is_not_sent") {
-        return;
-    }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.answer_commits(Verdict::Stale);
@@ -128,9 +97,6 @@ async fn a_video_of_a_refused_result_is_not_sent() {
 /// To the parent process, the kill looks like a crash of the encoder at the worst moment.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
-    if !ready("a_slot_that_dies_before_its_result_is_committed_is_not_charged") {
-        return;
-    }
     let mut coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     let mut slow = filmed(1, &policy.url());

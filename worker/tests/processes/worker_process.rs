@@ -14,15 +14,6 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Control steps of a test's rollouts.
 pub(crate) const MAX_STEPS: u32 = 24;
 
-/// Returns true if this machine can run a worker; prints a message if it cannot.
-pub(crate) fn ready(test: &str) -> bool {
-    let ready = scene::Sources::open(&scene::Sources::default_dir());
-    if let Err(error) = &ready {
-        println!("skipped {test}: failed to {error}");
-    }
-    ready.is_ok()
-}
-
 /// Returns the id of the attempt at a job of the scripted coordinator.
 pub(crate) fn attempt_id(job: i64) -> String {
     format!("{job:032x}")

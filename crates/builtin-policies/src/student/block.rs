@@ -5,7 +5,6 @@ use crate::student::convolution::Convolution;
 use crate::student::error::WeightsError;
 use crate::student::linear::Linear;
 use crate::student::norm::{Film, GroupNorm};
-use crate::student::product::Products;
 use crate::student::weights::Tensors;
 
 /// Two 3 x 3 convolutions and a 1 x 1 shortcut.
@@ -61,7 +60,6 @@ impl Block {
 
     pub(crate) fn apply(
         &self,
-        products: Products,
         input: Planes<'_>,
         film: Film<'_>,
         work: &mut Workspace,
@@ -73,14 +71,14 @@ impl Block {
         zeros(&mut work.skipped, size);
         columns::each_part(input, self.stride, &mut work.buffers, |part| {
             let (hidden, skipped) = (&mut work.hidden, &mut work.skipped);
-            self.conv1.add(products, part.windows(), hidden);
-            self.skip.add(products, part.middles(), skipped);
+            self.conv1.add(part.windows(), hidden);
+            self.skip.add(part.middles(), skipped);
         });
         self.norm1.film_relu(&mut work.hidden, film);
         zeros(output, size);
         let hidden = Planes { values: &work.hidden, side };
         columns::each_part(hidden, 1, &mut work.buffers, |part| {
-            self.conv2.add(products, part.windows(), output);
+            self.conv2.add(part.windows(), output);
         });
         self.norm2.add_relu(output, &work.skipped);
     }

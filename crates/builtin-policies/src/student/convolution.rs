@@ -3,7 +3,7 @@
 use crate::student::columns::{Rows, WINDOW};
 use crate::student::error::WeightsError;
 use crate::student::linear::transposed;
-use crate::student::product::{Matrix, MatrixMut, Products};
+use crate::student::product::{self, Matrix, MatrixMut};
 use crate::student::weights::Tensors;
 
 /// A convolution as a matrix, to be multiplied by the columns of its input windows.
@@ -52,13 +52,13 @@ impl Convolution {
     }
 
     /// Adds the contribution of `rows` to `planes`, which has a plane per output channel.
-    pub(crate) fn add(&self, products: Products, rows: Rows<'_>, planes: &mut [f32]) {
+    pub(crate) fn add(&self, rows: Rows<'_>, planes: &mut [f32]) {
         let Rows { columns, input, place } = rows;
         let weight = &self.weight[input * self.outputs..];
         let weight = Matrix::new(weight, columns.rows(), self.outputs).transposed();
         let stride = planes.len() / self.outputs;
         let size = [self.outputs, columns.columns()];
         let mut sums = MatrixMut::with_stride(&mut planes[place..], size, stride);
-        products.add(weight, columns, &mut sums);
+        product::add(weight, columns, &mut sums);
     }
 }

@@ -8,7 +8,7 @@ use crate::student::lanes;
 use crate::student::norm::{Film, GroupNorm};
 use crate::student::picture;
 use crate::student::points::{self, POINTS};
-use crate::student::product::{Matrix, Products};
+use crate::student::product::Matrix;
 use crate::student::weights::Tensors;
 
 /// Channels of the first convolution.
@@ -77,8 +77,8 @@ impl Encoder {
     }
 
     /// Returns the modulation of this encoder's blocks by texts (a row per query).
-    pub(crate) fn films(&self, products: Products, texts: &[f32]) -> Films {
-        let films = |block: &Block| block.film.apply(products, texts);
+    pub(crate) fn films(&self, texts: &[f32]) -> Films {
+        let films = |block: &Block| block.film.apply(texts);
         Films(self.blocks.each_ref().map(films))
     }
 
@@ -86,7 +86,6 @@ impl Encoder {
     /// expected rows and peaks of the points, then means of the features.
     pub(crate) fn encode(
         &self,
-        products: Products,
         rgb: &[u8],
         (films, query): (&Films, usize),
         scratch: &mut Scratch,
@@ -98,14 +97,14 @@ impl Encoder {
         let mut side = picture::SIDE / 2;
         zeros(planes, STEM * side * side);
         columns::each_part(picture, 2, &mut work.buffers, |part| {
-            self.stem.add(products, part.windows(), planes);
+            self.stem.add(part.windows(), planes);
         });
         self.stem_norm.relu(planes);
         let blocks = self.blocks.iter().zip(films.0.iter().zip(BLOCKS));
         for (index, (block, (films, shape))) in blocks.enumerate() {
             let input = Planes { values: planes, side };
             let film = Film(&films[query * 2 * shape.outputs..][..2 * shape.outputs]);
-            block.apply(products, input, film, work, next);
+            block.apply(input, film, work, next);
             std::mem::swap(planes, next);
             side /= shape.stride;
             if index == 0 && self.fine.is_some() {
@@ -113,7 +112,7 @@ impl Encoder {
             }
         }
         let (located, means) = encoded.split_at_mut(3 * POINTS);
-        self.locate(products, [planes, fine], next, located);
+        self.locate([planes, fine], next, located);
         for (plane, mean) in planes.chunks_exact(side * side).zip(means) {
             *mean = lanes::mean(plane);
         }
@@ -121,13 +120,7 @@ impl Encoder {
 
     /// Locates the points in the last features and, if `self.fine` is present, in the first
     /// block's planes too; `scores` is scratch memory.
-    fn locate(
-        &self,
-        products: Products,
-        [features, fine]: [&[f32]; 2],
-        scores: &mut Vec<f32>,
-        located: &mut [f32],
-    ) {
+    fn locate(&self, [features, fine]: [&[f32]; 2], scores: &mut Vec<f32>, located: &mut [f32]) {
         let places = features.len() / FEATURES;
         scores.clear();
         for bias in &self.points_bias {
@@ -139,14 +132,14 @@ impl Encoder {
             place: 0,
         };
         let features = all_rows(features, FEATURES, places);
-        self.points.add(products, features, scores);
+        self.points.add(features, scores);
         let Some(convolution) = &self.fine else {
             return points::locate::<{ points::SIDE }>(scores, located);
         };
         let mut scores = points::enlarged(scores);
         let channels = BLOCKS[0].outputs;
         let fine = all_rows(fine, channels, fine.len() / channels);
-        convolution.add(products, fine, &mut scores);
+        convolution.add(fine, &mut scores);
         points::locate::<{ 2 * points::SIDE }>(&scores, located);
     }
 }

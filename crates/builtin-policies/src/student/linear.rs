@@ -1,5 +1,5 @@
 use crate::student::error::WeightsError;
-use crate::student::product::{Matrix, MatrixMut, Products};
+use crate::student::product::{Matrix, MatrixMut, add};
 use crate::student::weights::Tensors;
 
 /// `y = W x + b`.
@@ -30,10 +30,10 @@ impl Linear {
     }
 
     /// Returns a row of outputs for each row of `inputs`; there is a row per query.
-    pub(crate) fn apply(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
+    pub(crate) fn apply(&self, inputs: &[f32]) -> Vec<f32> {
         let rows = inputs.len() / self.inputs;
         let mut outputs = self.bias.repeat(rows);
-        products.add(
+        add(
             Matrix::new(inputs, rows, self.inputs),
             Matrix::new(&self.weight, self.inputs, self.outputs),
             &mut MatrixMut::new(&mut outputs, rows, self.outputs),
@@ -41,8 +41,8 @@ impl Linear {
         outputs
     }
 
-    pub(crate) fn apply_relu(&self, products: Products, inputs: &[f32]) -> Vec<f32> {
-        let mut outputs = self.apply(products, inputs);
+    pub(crate) fn apply_relu(&self, inputs: &[f32]) -> Vec<f32> {
+        let mut outputs = self.apply(inputs);
         for value in &mut outputs {
             *value = relu(*value);
         }

@@ -3,7 +3,6 @@ use sha2::{Digest, Sha256};
 use crate::student::encoder::{self, Encoder, Scratch};
 use crate::student::error::{QueryError, WeightsError};
 use crate::student::linear::Linear;
-use crate::student::product::Products;
 use crate::student::query::{ACTIONS, ARM, Chunk, Output, Query, STATE};
 use crate::student::text;
 use crate::student::weights::Tensors;
@@ -27,7 +26,6 @@ pub struct Network {
     look: Option<String>,
     digest: String,
     parameters: usize,
-    products: Products,
     words: Vec<f32>,
     text1: Linear,
     text2: Linear,
@@ -75,7 +73,6 @@ impl Network {
             look: file.look().map(str::to_owned),
             parameters: file.parameters(),
             digest: hex::encode(Sha256::digest(bytes)),
-            products: Products::of_this_machine(),
         };
         tensors.finish()?;
         Ok(network)
@@ -98,17 +95,6 @@ impl Network {
 
     pub fn parameters(&self) -> usize {
         self.parameters
-    }
-
-    /// Implementation of this network's matrix products on this machine.
-    pub fn products(&self) -> Products {
-        self.products
-    }
-
-    /// Returns the same network with plain products, as on machines without fused
-    /// multiply-adds. Its answers are the same, bit for bit.
-    pub fn with_plain_products(self) -> Self {
-        Self { products: Products::Plain, ..self }
     }
 
     /// Returns a chunk of actions for each query. Queries do not affect each other. Runs on the
@@ -139,7 +125,7 @@ impl Network {
         let texts = self.texts(queries);
         let states = self.states(queries);
         let cameras = [&self.agentview, &self.wrist];
-        let films = cameras.map(|camera| camera.films(self.products, &texts));
+        let films = cameras.map(|camera| camera.films(&texts));
         let mut scratch = Scratch::default();
         let mut inputs = vec![0.0; queries.len() * WIDTH];
         for (index, row) in inputs.chunks_exact_mut(WIDTH).enumerate() {
@@ -149,7 +135,7 @@ impl Network {
             let encoded = pictures.chunks_exact_mut(encoder::WIDTH);
             for (camera, encoded) in encoded.enumerate() {
                 let films = (&films[camera], index);
-                cameras[camera].encode(self.products, rgb[camera], films, &mut scratch, encoded);
+                cameras[camera].encode(rgb[camera], films, &mut scratch, encoded);
             }
             state.copy_from_slice(&states[index * STATE_WIDTH..][..STATE_WIDTH]);
             text.copy_from_slice(&texts[index * TEXT..][..TEXT]);
@@ -160,8 +146,8 @@ impl Network {
     fn texts(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let embed = |query: &Query<'_>| text::embed(&self.words, query.instruction);
         let vectors: Vec<f32> = queries.iter().flat_map(embed).collect();
-        let hidden = self.text1.apply_relu(self.products, &vectors);
-        self.text2.apply_relu(self.products, &hidden)
+        let hidden = self.text1.apply_relu(&vectors);
+        self.text2.apply_relu(&hidden)
     }
 
     fn states(&self, queries: &[Query<'_>]) -> Vec<f32> {
@@ -172,14 +158,14 @@ impl Network {
                 *value = (*value - mean) / spread;
             }
         }
-        self.state1.apply_relu(self.products, &states)
+        self.state1.apply_relu(&states)
     }
 
     fn head_outputs(&self, inputs: &[f32]) -> Vec<Output> {
-        let hidden = self.head1.apply_relu(self.products, inputs);
-        let hidden = self.head2.apply_relu(self.products, &hidden);
-        let arms = self.arm.apply(self.products, &hidden);
-        let logits = self.gripper.apply(self.products, &hidden);
+        let hidden = self.head1.apply_relu(inputs);
+        let hidden = self.head2.apply_relu(&hidden);
+        let arms = self.arm.apply(&hidden);
+        let logits = self.gripper.apply(&hidden);
         let (moves, _) = arms.as_chunks::<ARM>();
         let (arms, _) = moves.as_chunks::<ACTIONS>();
         let (logits, _) = logits.as_chunks::<ACTIONS>();

@@ -15,36 +15,20 @@
 /// value is the library's own; the tests below fail if it changes.
 const RUN: usize = 256;
 
-/// Implementation of a network's matrix products. All implementations give the same bits.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Products {
-    /// `matrixmultiply`, with the processor's fused multiply-adds.
-    Library,
-    /// A plain loop of [`f32::mul_add`]: correct on every machine, but slow, especially on
-    /// processors without fused multiply-add.
-    Plain,
-}
-
-impl Products {
-    /// Returns `Library` if its kernel for this processor uses fused multiply-adds, otherwise
-    /// `Plain`.
-    pub(crate) fn of_this_machine() -> Self {
-        #[cfg(target_arch = "x86_64")]
-        let fused = is_x86_feature_detected!("fma") && is_x86_feature_detected!("avx2");
-        #[cfg(target_arch = "aarch64")]
-        let fused = std::arch::is_aarch64_feature_detected!("neon");
-        #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
-        let fused = false;
-        if fused { Self::Library } else { Self::Plain }
-    }
-
-    pub(crate) fn add(self, a: Matrix<'_>, b: Matrix<'_>, c: &mut MatrixMut<'_>) {
-        assert_eq!(a.columns, b.rows, "inner dimensions");
-        assert_eq!((a.rows, b.columns), (c.rows, c.columns), "outer dimensions");
-        match self {
-            Self::Library => add_with_library(a, b, c),
-            Self::Plain => add_plainly(a, b, c),
-        }
+/// Adds `a b` to `c`: by `matrixmultiply` if its kernel for this processor uses fused multiply-adds,
+/// otherwise by a plain loop, which is slow.
+pub(crate) fn add(a: Matrix<'_>, b: Matrix<'_>, c: &mut MatrixMut<'_>) {
+    assert_eq!(a.columns, b.rows, "inner dimensions");
+    assert_eq!((a.rows, b.columns), (c.rows, c.columns), "outer dimensions");
+    #[cfg(target_arch = "x86_64")]
+    let is_fused = is_x86_feature_detected!("fma") && is_x86_feature_detected!("avx2");
+    #[cfg(target_arch = "aarch64")]
+    let is_fused = std::arch::is_aarch64_feature_detected!("neon");
+    #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
+    let is_fused = false;
+    match is_fused {
+        true => add_with_library(a, b, c),
+        false => add_plainly(a, b, c),
     }
 }
 
@@ -127,7 +111,7 @@ impl<'a> MatrixMut<'a> {
 #[allow(unsafe_code)]
 fn add_with_library(a: Matrix<'_>, b: Matrix<'_>, c: &mut MatrixMut<'_>) {
     // SAFETY: the constructors of the matrices check that every element lies in its
-    // slice, and `Products::add` checks that the sizes match. `c` is borrowed exclusively,
+    // slice, and `add` checks that the sizes match. `c` is borrowed exclusively,
     // and its elements do not alias, since its rows do not overlap. Slices are at most
     // isize::MAX bytes long, and so are strides.
     unsafe {
@@ -174,6 +158,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    type Add = fn(Matrix<'_>, Matrix<'_>, &mut MatrixMut<'_>);
+
     fn numbers(seed: u64, count: usize) -> Vec<f32> {
         // SplitMix64; exponents vary, so that the order of summation affects the bits.
         let mut state = seed;
@@ -217,17 +203,17 @@ mod tests {
             Matrix::new(&left, rows, depth)
         };
         let b = Matrix::new(&right, depth, columns);
-        let compute = |products: Products| {
+        let compute = |add: Add| {
             let mut c = start.clone();
-            products.add(a, b, &mut MatrixMut::new(&mut c, rows, columns));
+            add(a, b, &mut MatrixMut::new(&mut c, rows, columns));
             bits(&c)
         };
         let expected: Vec<f32> = (0..rows * columns)
             .map(|index| by_definition(a, b, start[index], index / columns, index % columns))
             .collect();
         let size = [rows, depth, columns];
-        assert_eq!(compute(Products::Plain), bits(&expected), "plainly, {size:?}");
-        let found = compute(Products::of_this_machine());
+        assert_eq!(compute(add_plainly), bits(&expected), "plainly, {size:?}");
+        let found = compute(add);
         assert_eq!(found, bits(&expected), "on this machine, {size:?}");
     }
 
@@ -251,14 +237,14 @@ mod tests {
             for rows in [1, 8, 16, 17] {
                 let right = vec![right[0]; 256 * columns];
                 let left = vec![left[0]; 256 * rows];
-                for products in [Products::Plain, Products::of_this_machine()] {
+                for add in [add_plainly as Add, add] {
                     let mut c = vec![0.0; rows * columns];
-                    products.add(
+                    add(
                         Matrix::new(&left, rows, 256),
                         Matrix::new(&right, 256, columns),
                         &mut MatrixMut::new(&mut c, rows, columns),
                     );
-                    assert!(c.iter().all(|value| value.to_bits() == 0), "{products:?}");
+                    assert!(c.iter().all(|value| value.to_bits() == 0));
                 }
             }
         }
@@ -269,8 +255,7 @@ mod tests {
         let (left, right) = (numbers(1, 20 * 30), numbers(2, 30 * 9));
         let (a, b) = (Matrix::new(&left, 20, 30), Matrix::new(&right, 30, 9));
         let mut whole = vec![0.0; 20 * 9];
-        let products = Products::of_this_machine();
-        products.add(a, b, &mut MatrixMut::new(&mut whole, 20, 9));
+        add(a, b, &mut MatrixMut::new(&mut whole, 20, 9));
         let mut parts = vec![7.0; 20 * 11];
         for row in parts.chunks_mut(11) {
             row[1..10].fill(0.0);
@@ -278,7 +263,7 @@ mod tests {
         for (first, width) in [(0, 4), (4, 5)] {
             let b = Matrix::with_strides(&right[first..], [30, width], [9, 1]);
             let mut c = MatrixMut::with_stride(&mut parts[1 + first..], [20, width], 11);
-            products.add(a, b, &mut c);
+            add(a, b, &mut c);
         }
         for (part, whole) in parts.chunks(11).zip(whole.chunks(9)) {
             assert_eq!(bits(&part[1..10]), bits(whole));
@@ -297,7 +282,7 @@ mod tests {
     fn matrices_that_do_not_fit_are_refused() {
         let (a, mut c) = ([0.0; 4], [0.0; 6]);
         let (a, b) = (Matrix::new(&a, 2, 2), Matrix::new(&a, 1, 3));
-        Products::Plain.add(a, b, &mut MatrixMut::new(&mut c, 2, 3));
+        add(a, b, &mut MatrixMut::new(&mut c, 2, 3));
     }
 
     proptest! {

@@ -41,12 +41,6 @@ pub(crate) struct Prepared {
     pub(super) largest_levels: Vec<Bytes>,
 }
 
-/// Each mesh, and for each texture the largest mipmap level and the smaller levels.
-pub(crate) struct PreparedBytes {
-    pub(crate) meshes: Vec<Bytes>,
-    pub(crate) textures: Vec<[Bytes; 2]>,
-}
-
 impl Prepared {
     pub(crate) fn from_model(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
@@ -71,15 +65,19 @@ impl Prepared {
         )
     }
 
-    /// Restores data that was prepared earlier for the same model, without copying its bytes.
-    pub(crate) fn from_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
-        let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
-        let textures = model.textures().zip(&bytes.textures);
-        let textures = textures.map(|(texture, [_, smaller])| {
+    /// Restores data that was prepared earlier for the same model, without copying its bytes: each
+    /// mesh, and for each texture the largest mipmap level and the smaller levels.
+    pub(crate) fn from_bytes(
+        model: &Model,
+        meshes: &[Bytes],
+        textures: &[[Bytes; 2]],
+    ) -> Result<Self, SimError> {
+        let meshes = meshes.iter().cloned().map(Mesh::from_bytes);
+        let largest_levels = textures.iter().map(|[largest, _]| largest.clone());
+        let textures = model.textures().zip(textures).map(|(texture, [_, smaller])| {
             let sizes = [texture.width, texture.height, texture.channels];
             Texture::with_smaller(texture_kind(&texture), sizes, smaller.clone())
         });
-        let largest_levels = bytes.textures.iter().map(|[largest, _]| largest.clone());
         Self::assemble(
             model,
             meshes.map(share_part).collect::<Result<_, _>>()?,

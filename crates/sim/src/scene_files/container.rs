@@ -9,7 +9,7 @@ use bytes::Bytes;
 use memmap2::Mmap;
 use twox_hash::XxHash3_128;
 
-use super::{NAME_DIGITS, Name};
+use super::NAME_DIGITS;
 use crate::mujoco::ALIGNMENT;
 
 const MAGIC: &[u8; 16] = b"rollout scenes\n\0";
@@ -24,7 +24,7 @@ const BLOCK: usize = 1 << 20;
 /// Writes a file; each section is the concatenation of its parts.
 pub(super) fn write(
     out: &mut (impl Write + Seek),
-    name: &Name,
+    name: &str,
     sections: &[Vec<&[u8]>],
 ) -> io::Result<()> {
     let lengths = || {
@@ -54,7 +54,7 @@ pub(super) fn write(
     }
     let mut head = [0; HEAD];
     head[..MAGIC.len()].copy_from_slice(MAGIC);
-    head[NAME].copy_from_slice(name);
+    head[NAME].copy_from_slice(name.as_bytes());
     head[LENGTH].copy_from_slice(&(end as u64).to_ne_bytes());
     head[CHECKSUM].copy_from_slice(&out.sum.finish_128().to_ne_bytes());
     out.out.seek(SeekFrom::Start(0))?;
@@ -76,53 +76,35 @@ impl<W: Write> ChecksumWriter<W> {
     }
 }
 
-/// Returns the checksum; `None` for another format, name or length.
-pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result<Option<u128>> {
+/// Maps the sections; `None` if the file has another format, name, length or checksum.
+pub(super) fn map(mut file: &File, name: &str, length: u64) -> io::Result<Option<Vec<Bytes>>> {
     let mut head = [0; HEAD];
     if length < HEAD as u64 {
         return Ok(None);
     }
-    file.seek(SeekFrom::Start(0))?;
     file.read_exact(&mut head)?;
-    let is_valid =
-        head.starts_with(MAGIC) && head[NAME] == *name && head[LENGTH] == length.to_ne_bytes();
-    let checksum = u128::from_ne_bytes(head[CHECKSUM].try_into().expect("sixteen bytes"));
-    Ok(is_valid.then_some(checksum))
-}
-
-/// Reads the file, because a mapping's pages would count towards this process's memory.
-pub(super) fn has_checksum(mut file: &File, checksum: u128) -> io::Result<bool> {
-    file.seek(SeekFrom::Start(HEAD as u64))?;
     let mut sum = XxHash3_128::new();
     let mut block = vec![0; BLOCK];
+    // Reads the file, because a mapping's pages would count towards this process's memory.
     loop {
         match file.read(&mut block)? {
-            0 => return Ok(sum.finish_128() == checksum),
+            0 => break,
             read => sum.write(&block[..read]),
         }
     }
-}
-
-struct Mapped {
-    map: Mmap,
-    _lock: Option<File>,
-}
-
-impl AsRef<[u8]> for Mapped {
-    fn as_ref(&self) -> &[u8] {
-        &self.map
+    let is_valid = head.starts_with(MAGIC)
+        && head[NAME] == *name.as_bytes()
+        && head[LENGTH] == length.to_ne_bytes()
+        && head[CHECKSUM] == sum.finish_128().to_ne_bytes();
+    if !is_valid {
+        return Ok(None);
     }
-}
-
-/// Keeps `lock` until all sections are dropped. `None` if the section table is invalid.
-pub(super) fn map(file: &File, lock: Option<File>) -> io::Result<Option<Vec<Bytes>>> {
     // SAFETY: the pages are never written to, neither through this mapping, which is read-only,
     // nor in the file: programs of this project write a file once, before it gets its final name,
     // and even its owner has no right to write to it afterwards.
     #[allow(unsafe_code, reason = "mapping a file")]
     let map = unsafe { Mmap::map(file)? };
-    let bytes = Bytes::from_owner(Mapped { map, _lock: lock });
-    Ok(sections(&bytes))
+    Ok(sections(&Bytes::from_owner(map)))
 }
 
 fn sections(bytes: &Bytes) -> Option<Vec<Bytes>> {

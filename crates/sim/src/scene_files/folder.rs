@@ -1,19 +1,21 @@
-//! Folder of scene files: permissions, trust, and locks.
+//! Folder of scene files: permissions, trust, locks, and the limit of its size.
 
 use std::fs::{self, DirBuilder, File, OpenOptions, Permissions, TryLockError};
 use std::io;
 use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use bytes::Bytes;
-use rustix::fs::{OFlags, Timespec, Timestamps, UTIME_NOW, futimens};
+use rustix::fs::OFlags;
 
 use super::container;
-use super::{LoadedScene, Name, Preparation, digits, layout, name_text};
-use crate::mujoco::Model;
-use crate::render::{Prepared, PreparedBytes, digest_of_texture};
+use super::{LoadedScene, NAME_DIGITS, layout, record_problem};
+use crate::error::SimError;
+use crate::mujoco::{self, Model};
+use crate::render::{Prepared, digest_of_texture};
 
 /// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another limit.
 const LIMIT_GIB: u64 = 16;
@@ -24,7 +26,7 @@ const READ_ONLY: u32 = 0o444;
 const OTHERS_WRITE: u32 = 0o022;
 /// User id of root, whose files are trusted like those of this process's user.
 const ROOT: u32 = 0;
-pub(super) const TEMPORARY_PREFIX: &str = ".aside-";
+pub(super) const TEMPORARY: &str = ".aside-";
 /// Indices of the sections of a scene file. From [`MESHES`] on, each section is a mesh.
 const TEXTURES: usize = 0;
 const STRUCTURE: usize = 1;
@@ -65,17 +67,6 @@ pub struct SceneFolder {
     pub(super) user: u32,
     pub(super) layout: String,
     pub(super) max_wait: Duration,
-    /// Simulated free disk space in tests, bytes.
-    #[cfg(test)]
-    pub(super) room: std::sync::atomic::AtomicU64,
-}
-
-/// An opened file with trusted permissions, whose header has the file's name and length.
-struct Opened {
-    file: File,
-    checksum: u128,
-    /// File metadata that changes when the file is written.
-    stamp: String,
 }
 
 fn given_limit() -> Option<String> {
@@ -99,8 +90,6 @@ impl SceneFolder {
             user: rustix::process::geteuid().as_raw(),
             layout: layout(),
             max_wait: MAX_LOCK_WAIT,
-            #[cfg(test)]
-            room: std::sync::atomic::AtomicU64::new(u64::MAX),
         }
     }
 
@@ -115,81 +104,120 @@ impl SceneFolder {
         self.exists_and_is_trusted().map(drop)
     }
 
+    /// Maps the scene with this name, or compiles it and stores it for other processes. Only one
+    /// process at a time compiles a scene; others wait for its file.
+    pub(crate) fn obtain(
+        &self,
+        name: &str,
+        compile: impl FnOnce() -> Result<Model, SimError>,
+    ) -> Result<LoadedScene, SimError> {
+        let lock = match self.load_or_lock(name) {
+            Ok(Ok(loaded)) => return Ok(loaded),
+            Ok(Err(lock)) => lock,
+            Err(problem) => {
+                record_problem(&problem);
+                return Ok(LoadedScene { model: compile()?, prepared: None });
+            }
+        };
+        let model = compile()?;
+        // A scene that the software renderer cannot draw is rejected when it is drawn.
+        let Ok(prepared) = Prepared::from_model(&model) else {
+            return Ok(LoadedScene { model, prepared: None });
+        };
+        let stored = self.store(name, &model, &prepared);
+        drop(lock);
+        match stored.and_then(|()| self.load(name)) {
+            Ok(Some(loaded)) => {
+                drop((model, prepared));
+                mujoco::return_freed_memory();
+                return Ok(loaded);
+            }
+            Ok(None) => {}
+            Err(problem) => record_problem(&problem),
+        }
+        Ok(LoadedScene { model, prepared: Some(Arc::new(prepared)) })
+    }
+
+    /// Returns the scene, or the lock that a process holds while it compiles the scene.
+    fn load_or_lock(&self, name: &str) -> Result<Result<LoadedScene, File>, SceneFileError> {
+        if let Some(loaded) = self.load(name)? {
+            return Ok(Ok(loaded));
+        }
+        let lock = self.lock(&lock_of(name))?;
+        // Another process may have stored the scene in the meantime.
+        Ok(self.load(name)?.ok_or(lock))
+    }
+
     /// Maps a scene; `None` if one of its files is missing, incomplete or not trusted.
-    pub(super) fn load(&self, name: &Name) -> Result<Option<LoadedScene>, SceneFileError> {
+    pub(super) fn load(&self, name: &str) -> Result<Option<LoadedScene>, SceneFileError> {
         if !self.exists_and_is_trusted()? {
             return Ok(None);
         }
-        let path = self.scene(name_text(name));
-        let Some(scene) = self.open(&path, name)? else {
-            return Ok(None);
-        };
-        let failed = |source| failure("read", &path, source);
-        // The lock keeps the file, but the mapping stays valid without it, too. `try_lock_shared`
-        // never waits: any reader of the file could hold an exclusive lock for ever.
-        let _ = scene.file.try_lock_shared();
-        if scene.file.metadata().map_err(failed)?.nlink() == 0 {
-            return Ok(None);
-        }
-        let lock = scene.file.try_clone().map_err(failed)?;
-        let Some(sections) = container::map(&scene.file, Some(lock)).map_err(failed)? else {
-            return Ok(None);
-        };
-        let mut unchecked = vec![(scene.file, scene.checksum)];
-        let mut stamps = scene.stamp;
-        let Some(names) = names_of_textures(&sections) else {
+        let Some(sections) = self.map(&self.scene(name), name)? else {
             return Ok(None);
         };
         let mut textures = Vec::new();
-        for texture in names {
-            let path = self.texture(name_text(texture));
-            let Some(opened) = self.open(&path, texture)? else {
+        for texture in names_of_textures(&sections) {
+            let mapped = self.map(&self.texture(texture), texture)?;
+            let Some(Ok(levels)) = mapped.map(<[Bytes; 2]>::try_from) else {
                 return Ok(None);
             };
-            stamps += &opened.stamp;
-            let mapped = container::map(&opened.file, None);
-            textures.push(mapped.map_err(|source| failure("read", &path, source))?);
-            unchecked.push((opened.file, opened.checksum));
+            textures.push(levels);
         }
-        if !self.was_checked(name, &stamps) {
-            for (file, checksum) in &unchecked {
-                if !container::has_checksum(file, *checksum).map_err(failed)? {
-                    return Ok(None);
-                }
-            }
-            self.record_check(name, &stamps);
-        }
-        Ok(assemble(&sections, textures))
+        Ok(restore(&sections, &textures))
     }
 
-    /// Stores a scene and its missing textures; evicts other scenes if there is no room.
-    pub(super) fn store(
-        &self,
-        name: &Name,
-        model: &Model,
-        prepared: &Prepared,
-    ) -> Result<(), SceneFileError> {
+    /// Stores a scene and its missing textures; removes other files if there is no room.
+    fn store(&self, name: &str, model: &Model, prepared: &Prepared) -> Result<(), SceneFileError> {
         let image = model.image().ok_or(SceneFileError::Layout)?;
         let _lock = self.lock("store.lock")?;
-        let mut names = Vec::new();
+        let started = SystemTime::now();
+        let mut names = String::new();
         for (texture, [largest, smaller]) in model.textures().zip(prepared.textures()) {
             let digest = digest_of_texture(&texture, largest);
             let mut hash = twox_hash::XxHash3_128::new();
             hash.write(self.layout.as_bytes());
             hash.write(&digest.to_le_bytes());
-            let name = digits(&hash.finish_128().to_be_bytes());
-            let path = self.texture(name_text(&name));
-            if !self.is_whole(&path, &name)? {
+            let name = hex::encode(hash.finish_128().to_be_bytes());
+            let path = self.texture(&name);
+            if self.map(&path, &name)?.is_none() {
                 self.write(&path, &name, &[vec![largest], vec![smaller]])?;
             }
-            names.extend(name);
+            names += &name;
         }
         let meshes: Vec<Vec<u8>> = prepared.meshes().collect();
         let mut sections =
-            vec![vec![names.as_slice()], vec![image.structure.as_slice()], image.arrays.to_vec()];
+            vec![vec![names.as_bytes()], vec![image.structure.as_slice()], image.arrays.to_vec()];
         sections.extend(meshes.iter().map(|mesh| vec![mesh.as_slice()]));
-        self.write(&self.scene(name_text(name)), name, &sections)?;
-        self.make_room(name_text(name)).map_err(|source| failure("make room in", &self.dir, source))
+        self.write(&self.scene(name), name, &sections)?;
+        self.make_room(started).map_err(|source| failure("make room in", &self.dir, source))
+    }
+
+    /// Removes temporary files of crashed writers, and the least recently used files until the rest
+    /// is within the limit, but none that was used since `started`. A mapped file stays mapped. The
+    /// caller holds the folder's lock.
+    fn make_room(&self, started: SystemTime) -> io::Result<()> {
+        let mut files = Vec::new();
+        for entry in fs::read_dir(&self.dir)? {
+            let entry = entry?;
+            let (name, path) = (entry.file_name().to_string_lossy().into_owned(), entry.path());
+            if name.starts_with(TEMPORARY) {
+                fs::remove_file(path)?;
+            } else if !name.ends_with(".lock") {
+                let metadata = entry.metadata()?;
+                files.push((metadata.modified()?, metadata.len(), path));
+            }
+        }
+        files.sort();
+        let mut total: u64 = files.iter().map(|(_, bytes, _)| bytes).sum();
+        for (used, bytes, path) in files {
+            if total <= self.limit || used >= started {
+                break;
+            }
+            fs::remove_file(path)?;
+            total -= bytes;
+        }
+        Ok(())
     }
 
     /// Waits for the lock with this name, up to the time limit; dropping the file releases it.
@@ -207,10 +235,9 @@ impl SceneFolder {
         let started = Instant::now();
         loop {
             match file.try_lock() {
-                Ok(()) => return Ok(file),
-                // The caller proceeds without locks: eviction requires a lock, and two processes
-                // that write one scene write identical files.
-                Err(TryLockError::Error(_)) => return Ok(file),
+                // A file system without locks: two processes that write one scene write identical
+                // files.
+                Ok(()) | Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) if started.elapsed() < self.max_wait => {
                     thread::sleep(POLL);
                 }
@@ -221,11 +248,11 @@ impl SceneFolder {
         }
     }
 
-    pub(super) fn scene(&self, name: &str) -> PathBuf {
+    fn scene(&self, name: &str) -> PathBuf {
         self.dir.join(format!("{name}.scene"))
     }
 
-    pub(super) fn texture(&self, name: &str) -> PathBuf {
+    fn texture(&self, name: &str) -> PathBuf {
         self.dir.join(format!("{name}.texture"))
     }
 
@@ -250,128 +277,65 @@ impl SceneFolder {
         [self.user, ROOT].contains(&metadata.uid()) && metadata.mode() & OTHERS_WRITE == 0
     }
 
-    /// `None` if the file is missing or not trusted, or its header has another name or length.
-    fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
-        let options = OpenOptions::new().read(true).custom_flags(no_links()).open(path);
-        let file = match options {
+    /// Maps a file and marks it as used; `None` if it is missing, not trusted or damaged.
+    fn map(&self, path: &Path, name: &str) -> Result<Option<Vec<Bytes>>, SceneFileError> {
+        let failed = |source| failure("read", path, source);
+        let file = match OpenOptions::new().read(true).custom_flags(no_links()).open(path) {
             Ok(file) => file,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-            Err(error) => return Err(failure("read", path, error)),
+            Err(error) => return Err(failed(error)),
         };
-        let failed = |source| failure("read", path, source);
         let metadata = file.metadata().map_err(failed)?;
         if !(metadata.is_file() && self.is_trusted(&metadata)) {
             return Ok(None);
         }
-        let checksum = container::read_head(&file, name, metadata.len()).map_err(failed)?;
-        Ok(checksum.map(|checksum| Opened {
-            stamp: format!(
-                "{} {} {} {}.{:09} {}.{:09}\n",
-                name_text(name),
-                metadata.ino(),
-                metadata.len(),
-                metadata.mtime(),
-                metadata.mtime_nsec(),
-                metadata.ctime(),
-                metadata.ctime_nsec()
-            ),
-            checksum,
-            file,
-        }))
-    }
-
-    fn is_whole(&self, path: &Path, name: &Name) -> Result<bool, SceneFileError> {
-        let Some(Opened { file, checksum, .. }) = self.open(path, name)? else {
-            return Ok(false);
-        };
-        container::has_checksum(&file, checksum).map_err(|source| failure("read", path, source))
+        // In a folder of another user, the time cannot be set.
+        let _ = file.set_modified(SystemTime::now());
+        container::map(&file, name, metadata.len()).map_err(failed)
     }
 
     /// Renames the temporary file once it is on disk and read-only.
     fn write(
         &self,
         path: &Path,
-        name: &Name,
+        name: &str,
         sections: &[Vec<&[u8]>],
     ) -> Result<(), SceneFileError> {
         let written = (|| {
             let mut temporary =
-                tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempfile_in(&self.dir)?;
-            // Released when this process ends; another that then locks the file may remove it.
-            let _ = temporary.as_file().try_lock();
-            let out = temporary.as_file_mut();
-            #[cfg(test)]
-            let out = &mut super::tests::Disk { file: out, room: &self.room };
-            container::write(out, name, sections)?;
+                tempfile::Builder::new().prefix(TEMPORARY).tempfile_in(&self.dir)?;
+            container::write(temporary.as_file_mut(), name, sections)?;
+            // By the same clock as in `map`; the kernel's time of a write may be earlier by a tick.
+            temporary.as_file().set_modified(SystemTime::now())?;
             temporary.as_file().sync_data()?;
             temporary.as_file().set_permissions(Permissions::from_mode(READ_ONLY))?;
             temporary.persist(path).map_err(|error| error.error).map(drop)
         })();
         written.map_err(|source| failure("write", path, source))
     }
-
-    /// Returns true if checked in this state since this boot; then marks the scene as used.
-    fn was_checked(&self, name: &Name, stamps: &str) -> bool {
-        let Some(record) = self.check_record_path(name) else {
-            return false;
-        };
-        if fs::read_to_string(&record).is_ok_and(|recorded| recorded == stamps) {
-            // Sets the modification time, which eviction uses as the time of last use. In a folder
-            // of another user, the time cannot be set.
-            if let Ok(file) = OpenOptions::new().write(true).open(record) {
-                let now = Timespec { tv_sec: 0, tv_nsec: UTIME_NOW };
-                let _ = futimens(&file, &Timestamps { last_access: now, last_modification: now });
-            }
-            return true;
-        }
-        false
-    }
-
-    /// Records the check; without a record, the files are checked again next time.
-    fn record_check(&self, name: &Name, stamps: &str) {
-        let Some(record) = self.check_record_path(name) else {
-            return;
-        };
-        let written = (|| {
-            let temporary =
-                tempfile::Builder::new().prefix(TEMPORARY_PREFIX).tempfile_in(&self.dir)?;
-            fs::write(temporary.path(), stamps)?;
-            temporary.persist(record).map_err(|error| error.error)
-        })();
-        drop(written);
-    }
-
-    /// Path of the record of a check since this boot; each machine has its own records.
-    fn check_record_path(&self, name: &Name) -> Option<PathBuf> {
-        let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
-        let file = format!("{}.{}.checked", name_text(name), boot.trim());
-        Some(self.dir.join(file))
-    }
 }
 
-/// Reads the names of a scene's textures from its sections; `None` if they are invalid.
-pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
-    let digits = sections.get(TEXTURES)?;
-    let (names, rest) = digits.as_chunks();
-    let are_names = rest.is_empty() && digits.iter().all(u8::is_ascii_hexdigit);
-    are_names.then_some(names)
+/// Returns the name of the lock under which a scene is compiled. Scenes share a few locks, so that
+/// no lock needs to be removed.
+pub(super) fn lock_of(name: &str) -> String {
+    format!("{}.lock", &name[..2])
+}
+
+/// Returns the names of a scene's textures.
+fn names_of_textures(sections: &[Bytes]) -> impl Iterator<Item = &str> {
+    let names = sections.get(TEXTURES).map_or(&[][..], |names| names.as_chunks().0);
+    names.iter().filter_map(|name: &[u8; NAME_DIGITS]| std::str::from_utf8(name).ok())
 }
 
 /// Restores a scene from mapped sections; `None` if they do not belong to a scene.
-fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<LoadedScene> {
+fn restore(sections: &[Bytes], textures: &[[Bytes; 2]]) -> Option<LoadedScene> {
     let (structure, arrays) = (sections.get(STRUCTURE)?, sections.get(ARRAYS)?);
     // SAFETY: `store` wrote the sections; the name shows that the layout is the same, and the
     // checksum that the sections were not changed since.
     #[allow(unsafe_code, reason = "a model of mapped arrays")]
     let model = unsafe { Model::from_image(structure, arrays.clone())? };
-    let textures = textures.into_iter().map(|sections| <[Bytes; 2]>::try_from(sections?).ok());
-    Some(LoadedScene {
-        model,
-        prepared: Preparation::InFile(PreparedBytes {
-            meshes: sections[MESHES..].to_vec(),
-            textures: textures.collect::<Option<_>>()?,
-        }),
-    })
+    let prepared = Prepared::from_bytes(&model, &sections[MESHES..], textures).ok()?;
+    Some(LoadedScene { model, prepared: Some(Arc::new(prepared)) })
 }
 
 fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileError {

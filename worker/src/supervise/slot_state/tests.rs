@@ -48,20 +48,6 @@ fn a_rollout_without_progress_is_killed_and_reported_as_stuck() {
 }
 
 #[test]
-fn events_of_another_attempt_change_nothing() {
-    let now = Instant::now();
-    let mut slot = running(now);
-    let before = slot.work.clone();
-    slot.advanced(attempt(2), 10, now);
-    assert!(!slot.rollout_ended(attempt(2), true, now));
-    assert_eq!((slot.work, slot.video), (before, Video::None));
-    let mut slot = filming(now);
-    slot.filming_advanced(attempt(2), 10, now);
-    assert_eq!(slot.filming_ended(attempt(2), true), None);
-    assert_eq!(slot.video, filming(now).video);
-}
-
-#[test]
 fn a_crash_costs_only_the_running_rollout() {
     let now = Instant::now();
     let mut slot = running(now);
@@ -73,17 +59,6 @@ fn a_crash_costs_only_the_running_rollout() {
     let later = now + secs(1);
     assert_eq!(slot.decide(Mode::Serving, TIMEOUT, later), Some(Decision::Start));
     assert_eq!(slot.ended(later), Loss::default());
-}
-
-#[test]
-fn a_crash_while_filming_costs_the_video_and_not_the_result() {
-    let now = Instant::now();
-    let mut slot = filming(now);
-    let ended = slot.ended(now);
-    assert_eq!((ended.rollout, ended.video), (None, Some(attempt(1))));
-    assert_eq!(slot.progress(), Some((attempt(1), 0)), "the result is still being delivered");
-    assert_eq!(slot.delivered(true), None);
-    assert!(slot.is_done());
 }
 
 #[test]
