@@ -8,11 +8,8 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use benchmark::ManifestRow;
-use benchmark::attempt::{
-    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
-};
 use clap::Parser;
+use benchmark::ManifestRow;
 use queue::clock::SystemClock;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, WorkerId};
@@ -22,6 +19,9 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
+use benchmark::attempt::{
+    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
+};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tokio::task::JoinSet;

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use ::report::Document;
-use benchmark::attempt::Provenance;
 use queue::Portable;
+use benchmark::attempt::Provenance;
 use serde::Serialize;
 use serde_json::Value;
 

@@ -15,9 +15,9 @@ use std::process::{ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
+use clap::Args;
 use benchmark::Look;
 use benchmark::attempt::Waits;
-use clap::Args;
 use rustix::process::{Pid, kill_process};
 use terminal::PARENT_VARIABLE;
 use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
