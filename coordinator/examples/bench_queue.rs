@@ -8,8 +8,11 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail};
-use clap::Parser;
 use benchmark::ManifestRow;
+use benchmark::attempt::{
+    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
+};
+use clap::Parser;
 use queue::clock::SystemClock;
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, WorkerId};
@@ -19,9 +22,6 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use benchmark::attempt::{
-    Digests, GoalProgress, Measurement, Motion, Pin, Provenance, Realised, RolloutResult,
-};
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 use tokio::task::JoinSet;

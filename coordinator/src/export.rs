@@ -3,8 +3,8 @@
 
 use std::sync::Arc;
 
-use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use benchmark::{Condition, Execution, Level, ManifestRow, RolloutId, Suite};
+use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};

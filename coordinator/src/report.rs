@@ -2,6 +2,7 @@
 //! a report, which the `report` crate computes. The same results give the same subject, however
 //! many attempts they took.
 
+use benchmark::attempt::Digests;
 use benchmark::{
     CampaignSpec, Directions, Execution, Level, ManifestRow, Purpose, RolloutId, Rollouts,
     UnknownName,
@@ -11,7 +12,6 @@ use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
     BeyondRange, Derived, EarlyStop, Origin, Quarantined, Setups, Subject, counted, rollout_name,
 };
-use benchmark::attempt::Digests;
 use sha2::{Digest, Sha256};
 
 use crate::reading::ReadError;

@@ -9,6 +9,9 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use benchmark::ManifestRow;
+use benchmark::attempt::{
+    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
+};
 use queue::clock::{ManualClock, UnixMillis};
 use queue::expand::NewCampaign;
 use queue::ids::{CampaignName, JobName, WorkerId};
@@ -18,9 +21,6 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use benchmark::attempt::{
-    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
-};
 use serde_json::json;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};

@@ -6,12 +6,12 @@ use std::path::Path;
 use std::process::Command;
 use std::sync::Arc;
 
-use benchmark::numpy::LegacyRng;
-use benchmark::{Look, RolloutId, row_of};
 use benchmark::family::corruption::Corruption;
 use benchmark::family::plus::{Assets, Variant, inventory, start_posture};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::protocol::Benchmark;
+use benchmark::numpy::LegacyRng;
+use benchmark::{Look, RolloutId, row_of};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Conditions, Environment, ObjectKind, ReadyScene, Reset, Start, VariantStart};
 use tests::family::{

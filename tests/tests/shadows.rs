@@ -5,9 +5,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 
+use benchmark::family::plus::{Dimension, Entry, inventory};
 use benchmark::presets::ENV_SEED;
 use benchmark::{Benchmark, Look, TaskRef};
-use benchmark::family::plus::{Dimension, Entry, inventory};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde::Deserialize;
 use sim::{Drawer, Environment, Renderer};

@@ -5,10 +5,10 @@ use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::str::FromStr;
 
+use benchmark::family::protocol::{Benchmark, Protocol};
+use benchmark::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
 use clap::error::ErrorKind;
 use clap::{ArgGroup, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
-use benchmark::{Execution, Level, Look, Realisation, RolloutId, Suite, TaskRef};
-use benchmark::family::protocol::{Benchmark, Protocol};
 use scene::pack::LIBERO;
 use sim::Renderer;
 use terminal::{number, number_from, seconds};

@@ -9,10 +9,10 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-use scene::assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
-use benchmark::{ManifestRow, TaskRef};
 use benchmark::family::Lack;
 use benchmark::family::protocol::Benchmark;
+use benchmark::{ManifestRow, TaskRef};
+use scene::assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, FileStamps, Sources, TaskFiles};
 use terminal::counted;

@@ -7,9 +7,9 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::time::Instant;
 
+use benchmark::attempt::{AttemptId, Motion};
 use benchmark::{Look, ManifestRow, Realisation, TaskRef};
 use proto::coordinator::{Film, NextFilmRequest};
-use benchmark::attempt::{AttemptId, Motion};
 use sim::{Simulator, SimulatorConfig};
 use tokio::runtime::Handle;
 use tokio::sync::watch;

@@ -7,10 +7,10 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
+use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
 use benchmark::{ManifestRow, Realisation};
 use proto::checks::CAMERAS;
 use sim::{CameraRequest, Episode, Frame, ObservationRequest, SimError};
-use crate::video::{PANE_SIDE, VideoEncoder, VideoError};
 
 use crate::actor::Action;
 use crate::message::Assignment;

@@ -11,9 +11,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
-use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef};
 use benchmark::family::pro::STATES;
 use benchmark::family::protocol::Protocol;
+use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;

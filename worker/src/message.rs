@@ -9,9 +9,9 @@ use std::fmt;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use benchmark::attempt::{AttemptId, Motion, Provenance, RolloutResult};
 use benchmark::{ManifestRow, Realisation, RolloutId};
 use proto::coordinator::release_request::Reason;
-use benchmark::attempt::{AttemptId, Motion, Provenance, RolloutResult};
 use serde::{Deserialize, Serialize};
 
 use crate::actor::{PolicyError, PolicySession};

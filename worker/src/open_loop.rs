@@ -2,8 +2,8 @@
 //! same cameras and readings as the published policies.
 
 use benchmark::{ManifestRow, Realisation};
-use proto::checks::CAMERAS;
 use proto::PROTOCOL_VERSION;
+use proto::checks::CAMERAS;
 use proto::policy::{CameraRequest, DescribeResponse, StateField};
 
 use crate::actor::{Action, Description};

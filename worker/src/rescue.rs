@@ -15,11 +15,11 @@ use std::fs;
 use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
+use crate::video::VideoEncoder;
 use benchmark::{Condition, RolloutId};
 use serde::Serialize;
 use sim::episode::NUDGE_M;
 use sim::{Episode, Observation, Simulator};
-use crate::video::VideoEncoder;
 
 use crate::actor::{Action, Actor};
 use crate::filming::{FilmingError, Replay, render_again};

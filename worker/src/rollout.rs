@@ -9,12 +9,12 @@ use std::collections::BTreeMap;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-use benchmark::{Execution, Query, Schedule};
-use proto::policy as wire;
 use benchmark::attempt::{
     Digests, EXECUTION, GoalProgress, IkResidual, MAX_PROMPT_BYTES, Motion, Parts, Pin, Provenance,
     RolloutResult, shortened,
 };
+use benchmark::{Execution, Query, Schedule};
+use proto::policy as wire;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
 use sim::{CameraRequest, Episode, Observation, ObservationRequest, SimError};

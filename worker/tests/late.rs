@@ -4,9 +4,9 @@ use std::ops::ControlFlow;
 use std::thread::sleep;
 use std::time::Duration;
 
+use benchmark::attempt::{EXECUTION, Motion};
 use benchmark::{Execution, ManifestRow, Query, row_of};
 use proto::policy as wire;
-use benchmark::attempt::{EXECUTION, Motion};
 use scene::{AssetPack, Sources};
 use sim::{Episode, Renderer, Simulator, SimulatorConfig};
 use worker::actor::{Action, Actor, Description, PolicyError, PolicySession};

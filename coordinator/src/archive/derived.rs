@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use ::report::Document;
-use queue::Portable;
 use benchmark::attempt::Provenance;
+use queue::Portable;
 use serde::Serialize;
 use serde_json::Value;
 

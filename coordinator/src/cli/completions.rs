@@ -1,8 +1,8 @@
 //! `coordinator completions`.
 
+use benchmark::{Axis, Suite};
 use clap::{Args, Command};
 use clap_complete::Shell;
-use benchmark::{Axis, Suite};
 
 use super::command::{CommandError, print};
 

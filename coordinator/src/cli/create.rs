@@ -6,17 +6,17 @@ use std::str::FromStr;
 use std::time::Duration;
 
 use anyhow::Context;
-use clap::builder::{PossibleValuesParser, TypedValueParser};
-use clap::{ArgGroup, Args};
-use coordinator::client::Service;
-use coordinator::video_estimate;
+use benchmark::family::Lacking;
 use benchmark::{
     AXES, Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution,
     ExecutionError, Level, Look, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo,
     PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef,
     UnknownName, Wanted, select_tasks,
 };
-use benchmark::family::Lacking;
+use clap::builder::{PossibleValuesParser, TypedValueParser};
+use clap::{ArgGroup, Args};
+use coordinator::client::Service;
+use coordinator::video_estimate;
 use proto::coordinator::CreateCampaignRequest;
 use queue::Created;
 use queue::expand::NewCampaign;

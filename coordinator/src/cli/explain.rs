@@ -2,10 +2,10 @@
 
 use std::collections::BTreeMap;
 
-use paired::adaptive::subsets::{Addition, additions};
 use anyhow::{Context, anyhow};
-use clap::Args;
 use benchmark::{CampaignSpec, Explanation, ManifestRow, Purpose, Record, RolloutId};
+use clap::Args;
+use paired::adaptive::subsets::{Addition, additions};
 use report::{Findings, Subject};
 use terminal::{number, number_from};
 

@@ -4,9 +4,9 @@
 use std::path::PathBuf;
 
 use anyhow::{Context, anyhow};
+use benchmark::{Level, MAX_REPLICATES, Rollouts};
 use clap::{ArgGroup, Args};
 use coordinator::client::Service;
-use benchmark::{Level, MAX_REPLICATES, Rollouts};
 use proto::coordinator::{AppendRowsRequest, AppendedRow};
 use queue::Created;
 use terminal::{counted, number};

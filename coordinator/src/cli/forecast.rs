@@ -3,9 +3,9 @@
 
 use std::collections::BTreeMap;
 
+use benchmark::{Condition, RolloutId};
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
-use benchmark::{Condition, RolloutId};
 use proto::coordinator::{ForecastRequest, SuiteRollouts};
 use queue::expand::{NewCampaign, NewJob};
 use queue::read::Forecast;

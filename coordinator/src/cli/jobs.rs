@@ -1,10 +1,10 @@
 //! `coordinator jobs list|show|retry|skip`.
 
 use anyhow::anyhow;
+use benchmark::RolloutId;
 use clap::{Args, Subcommand};
 use coordinator::client::Service;
 use coordinator::words::duration_text;
-use benchmark::RolloutId;
 use proto::coordinator::{
     GetJobRequest, JobName, ListJobsRequest, RetryJobsRequest, SkipJobsRequest,
 };

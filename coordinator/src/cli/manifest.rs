@@ -4,8 +4,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use benchmark::{Design, DesignVersion, ManifestRow, manifest};
+use clap::{ArgGroup, Args, Subcommand, ValueEnum};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};

@@ -5,8 +5,8 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use clap::Args;
 use benchmark::Suite;
+use clap::Args;
 use report::{Document, Subject, write_csv, write_parquet};
 
 use super::command::{CommandError, Connection, print_line, usage};

@@ -6,11 +6,11 @@ use std::mem::discriminant;
 use std::time::{Duration, Instant};
 
 use anyhow::anyhow;
-use clap::Args;
-use coordinator::client::{Client, Service};
 use benchmark::{
     CampaignSpec, ManifestRow, PolicyRoute, Purpose, Realisation, Record, Rollouts, Wanted,
 };
+use clap::Args;
+use coordinator::client::{Client, Service};
 use paired::Outcome;
 use proto::coordinator::{AppendRowsRequest, AppendedRow, CreateCampaignRequest};
 use queue::read::{CampaignStatus, Stage};

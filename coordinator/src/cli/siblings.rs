@@ -12,8 +12,8 @@ pub(super) fn sibling(name: &str) -> anyhow::Result<PathBuf> {
         true => Ok(path),
         false => {
             let error = anyhow!(
-                "{} is not there; the release archive has all programs in one folder, and \
-                 `cargo build --workspace --bins` builds them in a checkout",
+                "{} is not there; the wheel and the archive of a release install all programs into \
+                 one folder, and `cargo build --workspace --bins` builds them in a checkout",
                 path.display()
             );
             Err(error.context(format!("find `{name}` beside this program")))

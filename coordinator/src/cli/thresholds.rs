@@ -2,12 +2,12 @@
 
 use std::path::PathBuf;
 
-use paired::adaptive::radii::{Measurement, Ray};
 use anyhow::anyhow;
-use clap::Args;
 use benchmark::{
     CampaignSpec, Condition, Level, MAX_RADII, Purpose, Record, Rollouts, TOLERANCES, Thresholds,
 };
+use clap::Args;
+use paired::adaptive::radii::{Measurement, Ray};
 use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
 

@@ -3,13 +3,13 @@
 use std::path::PathBuf;
 
 use anyhow::ensure;
-use clap::Args;
-use benchmark::{Benchmark, ManifestRow, TaskRef};
 use benchmark::family::para::TypeName;
 use benchmark::family::plus::{Dimension, Variant};
 use benchmark::family::pro::{ProSuite, STATES};
 use benchmark::family::protocol::Protocol;
 use benchmark::family::{Lacking, ParaFilters, PlusFilters, ProFilters, Selection};
+use benchmark::{Benchmark, ManifestRow, TaskRef};
+use clap::Args;
 use terminal::number;
 
 use super::command::{CommandError, usage};

@@ -4,6 +4,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use benchmark::attempt::{AttemptId, MAX_TEXT_BYTES, Measurement, Motion, Pin, Provenance};
 use benchmark::{JsonError, Look, Suite, select_tasks};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, json_problem, shortened};
@@ -13,7 +14,6 @@ use queue::rules::lease::FailureReason;
 use queue::{
     Alteration, AppendedRow, CommitReport, MAX_JOBS_RETRIED, MAX_SLOTS, Retry, WorkerInfo,
 };
-use benchmark::attempt::{AttemptId, MAX_TEXT_BYTES, Measurement, Motion, Pin, Provenance};
 use serde_json::Value;
 use terminal::printable;
 use tonic::Status;

@@ -1,11 +1,11 @@
 //! Card of one rollout on a configuration's page: outcome, video, perturbation, failed attempts and
 //! provenance.
 
+use benchmark::attempt::GoalProgress;
 use benchmark::{Axis, ManifestRow, RolloutId, seeds};
 use maud::{Markup, html};
 use queue::read::{FailureLine, ResultLine, RolloutLine};
 use queue::rules::lease::FailureReason;
-use benchmark::attempt::GoalProgress;
 use terminal::counted;
 
 use super::layout::breakable;

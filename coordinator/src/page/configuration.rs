@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use benchmark::attempt::Motion;
 use benchmark::{Axis, AxisSet, Condition, ManifestRow, RolloutId};
 use maud::{Markup, html};
 use paired::{Matched, Outcome, Record, Records, Transition};
 use queue::ids::{JobId, shortened};
 use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
-use benchmark::attempt::Motion;
 
 use super::campaign::address;
 use super::card::{self, ShownRollout};

@@ -1,10 +1,10 @@
 //! Explanation of an outcome as text and as films side by side: the minimal subset of axes that
 //! changes it, and the largest proper subsets that do not.
 
-use paired::adaptive::subsets::{Answer, Explanation, MinimalSubset};
 use benchmark::{AxisSet, RolloutId};
 use maud::{Markup, html};
 use paired::Transition;
+use paired::adaptive::subsets::{Answer, Explanation, MinimalSubset};
 
 use super::card::player;
 use super::lattice_view::{LatticeView, Source};

@@ -1,9 +1,9 @@
 //! Outcomes of a configuration under every subset of the axes, from the measuring campaign and
 //! the campaign that explains it.
 
-use paired::adaptive::subsets::{Lattice, configurations, own_configurations};
 use benchmark::{AxisSet, CampaignSpec, Condition, Explanation, Purpose, RolloutId};
 use paired::Record;
+use paired::adaptive::subsets::{Lattice, configurations, own_configurations};
 use queue::read::{Campaign, SubsetRow, View};
 
 use super::campaign::address;

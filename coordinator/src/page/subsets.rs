@@ -2,9 +2,9 @@
 //! subsets that change its outcome, and their films.
 
 use ::report::figures;
-use paired::adaptive::subsets::Explained;
 use benchmark::RolloutId;
 use maud::{Markup, html};
+use paired::adaptive::subsets::Explained;
 use queue::read::{Campaign, View};
 
 use super::campaign::address;

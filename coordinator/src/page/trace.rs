@@ -2,8 +2,8 @@
 //! steps. All rollouts of a configuration share one scale, and the nominal rollout's path is drawn
 //! beneath the path of every other rollout.
 
-use maud::{Markup, html};
 use benchmark::attempt::Motion;
+use maud::{Markup, html};
 
 /// Positions of the hand, after settling and then after every control step of the policy: x, y, z
 /// in the world frame, m.

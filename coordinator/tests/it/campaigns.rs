@@ -1,9 +1,9 @@
 //! Creating, following and exporting campaigns.
 
+use benchmark::attempt::IkResidual;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use queue::{DATABASE_FILE, OpenError, Store, newest_known_schema};
-use benchmark::attempt::IkResidual;
 use serde_json::{Value, json};
 use tonic::Code;
 

@@ -5,8 +5,11 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-use coordinator::{Config, Coordinator};
 use benchmark::Axis;
+use benchmark::attempt::{
+    Digests, GoalProgress, Measurement, Parts, Pin, Provenance, Realised, RolloutResult,
+};
+use coordinator::{Config, Coordinator};
 use proto::coordinator as wire;
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::commit_response::Verdict;
@@ -19,9 +22,6 @@ use queue::rules::campaign::CampaignState;
 use queue::{Created, Queue, Timing};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use benchmark::attempt::{
-    Digests, GoalProgress, Measurement, Parts, Pin, Provenance, Realised, RolloutResult,
-};
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};

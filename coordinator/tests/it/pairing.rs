@@ -2,9 +2,9 @@
 //! state of a task, are refused.
 
 use benchmark::Axis;
+use benchmark::attempt::{CONNECTED_SINCE, IkResidual, Measurement, Realised, RealisedAxis};
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
-use benchmark::attempt::{CONNECTED_SINCE, IkResidual, Measurement, Realised, RealisedAxis};
 use serde_json::{Value, json};
 use tonic::Code;
 

@@ -1,9 +1,9 @@
 //! Assets, simulator and renderer that a campaign requires of its workers, by its specification or
 //! after its first result pinned it.
 
+use benchmark::attempt::Provenance;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
-use benchmark::attempt::Provenance;
 use serde_json::json;
 
 use crate::assertions::assert_contains;

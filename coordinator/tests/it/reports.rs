@@ -1,10 +1,10 @@
 //! Content of the report, which does not depend on the faults that occur while a campaign runs.
 
+use benchmark::attempt::Measurement;
 use proto::coordinator as wire;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 use report::Document;
-use benchmark::attempt::Measurement;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};

@@ -1,7 +1,7 @@
 //! Compares corruptions with LIBERO-Plus' own code, by digests of `recorded/corruptions.py`.
 
-use benchmark::numpy::LegacyRng;
 use benchmark::family::corruption::{Corruption, Kind, Picture};
+use benchmark::numpy::LegacyRng;
 use sha2::{Digest, Sha256};
 
 const RECORDED: &str = include_str!("recorded/corruptions.txt");

@@ -6,9 +6,8 @@ use benchmark::numpy::{DefaultRng, LegacyRng};
 use serde_json::Value;
 
 fn reference(name: &str) -> Option<Value> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/oracle/perturb")
-        .join(name);
+    let path =
+        PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../../shared/oracle/perturb").join(name);
     match std::fs::read_to_string(&path) {
         Ok(text) => Some(serde_json::from_str(&text).expect("reference file is JSON")),
         Err(_) => {

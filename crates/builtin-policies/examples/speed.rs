@@ -6,8 +6,8 @@ mod support;
 
 use std::time::Instant;
 
-use rustix::time::{ClockId, clock_gettime};
 use builtin_policies::student::{Network, Query};
+use rustix::time::{ClockId, clock_gettime};
 use support::{OwnedQuery, Weights};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {

@@ -2,8 +2,8 @@
 
 mod support;
 
-use sha2::{Digest, Sha256};
 use builtin_policies::student::{Network, Output, Products};
+use sha2::{Digest, Sha256};
 use support::{OwnedQuery, Weights};
 
 fn network() -> Network {

@@ -3,8 +3,8 @@
 use std::fs;
 use std::path::Path;
 
-use safetensors::{Dtype, SafeTensors};
 use builtin_policies::student::{Network, PICTURE_BYTES, PICTURE_SIDE, Query};
+use safetensors::{Dtype, SafeTensors};
 
 /// Largest absolute deviation of numbers of magnitude up to 1, and largest relative deviation of
 /// larger numbers.

@@ -2,8 +2,8 @@
 
 mod support;
 
-use safetensors::Dtype;
 use builtin_policies::student::{Network, WeightsError};
+use safetensors::Dtype;
 use support::{Random, Weights};
 
 fn refusal(weights: &Weights) -> WeightsError {

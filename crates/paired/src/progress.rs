@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use benchmark::{Directions, RolloutId, TaskRef};
 use benchmark::attempt::GoalProgress;
+use benchmark::{Directions, RolloutId, TaskRef};
 use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::{Estimate, Scale};

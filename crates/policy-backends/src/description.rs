@@ -1,8 +1,8 @@
 //! Batch size that a description permits, and the difference between two descriptions. Pure
 //! functions. The crate `policy-protocol` checks descriptions and answers.
 
-use proto::policy::DescribeResponse;
 use benchmark::attempt::CONNECTED_SINCE;
+use proto::policy::DescribeResponse;
 
 /// Largest number of queries in one `InferBatch`.
 pub const MAX_BATCH_QUERIES: usize = 64;

@@ -12,11 +12,11 @@ use std::{
     sync::{Mutex, PoisonError},
 };
 
+use benchmark::attempt::UNNAMED_CHECKPOINT;
 use proto::checks::CAMERAS;
 use proto::policy::{
     DescribeResponse, InferRequest, InferResponse, Language, ResetRequest, Setting,
 };
-use benchmark::attempt::UNNAMED_CHECKPOINT;
 use sha2::{Digest, Sha256};
 use tokio::sync::{Semaphore, SemaphorePermit};
 use transport::{Access, ServerKind};

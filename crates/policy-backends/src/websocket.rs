@@ -6,9 +6,9 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+use benchmark::attempt::CONNECTED_SINCE;
 use futures_util::{FutureExt, SinkExt, StreamExt};
 use proto::policy::Setting;
-use benchmark::attempt::CONNECTED_SINCE;
 use time::OffsetDateTime;
 use tokio::{
     io::{AsyncRead, AsyncWrite},

@@ -4,8 +4,8 @@
 
 use std::path::{Path, PathBuf};
 
-use futures_util::TryStreamExt;
 use benchmark::attempt::{Provenance, RolloutResult};
+use futures_util::TryStreamExt;
 use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 

@@ -4,12 +4,12 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use benchmark::{AxisSet, Explanation};
 use paired::adaptive::Decision;
 use paired::adaptive::subsets::{
     Answer, Explained, LatticeError, Occurrence, Repeats, Sample, Unexplained, Verdict,
     configurations, next, occurrences, plan, selected,
 };
-use benchmark::{AxisSet, Explanation};
 use paired::{Outcome, Record, Transition};
 use serde::Serialize;
 

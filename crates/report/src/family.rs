@@ -4,12 +4,12 @@
 
 use std::collections::BTreeMap;
 
-use benchmark::{TaskRef, UnknownName};
 use benchmark::family::para::{Distances, Kind, Paraphrased};
 use benchmark::family::plus::{Dimension, PUBLISHED, PUBLISHED_SOURCE};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::protocol::Protocol;
 use benchmark::family::{Case, SelectionError, Subject as CaseSubject};
+use benchmark::{TaskRef, UnknownName};
 use paired::{Bootstrap, Interval, NoInterval, Outcome, intervals_of_many};
 use serde::Serialize;
 

@@ -10,10 +10,10 @@ use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use benchmark::attempt::GoalProgress;
 use benchmark::{Condition, Directions, Execution, JsonError, Level, RolloutId, Suite};
 use benchmark::{Look, MAX_ROWS, Realisation};
 use paired::{Count, Outcome, Progress, Record};
-use benchmark::attempt::GoalProgress;
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
 

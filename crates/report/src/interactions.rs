@@ -4,12 +4,12 @@
 
 use std::collections::BTreeMap;
 
+use benchmark::{Axis, AxisSet, Level, RolloutId};
+use paired::Bootstrap;
 use paired::adaptive::subsets::{
     CompleteLattice, Estimate, IncompleteLattice, Interactions, Lattice, LatticeError,
     configurations, own_configurations,
 };
-use benchmark::{Axis, AxisSet, Level, RolloutId};
-use paired::Bootstrap;
 use serde::{Serialize, Serializer};
 
 use crate::block::{self, Block, Cell, Rows, Section, cell};

@@ -3,12 +3,12 @@
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 
+use benchmark::attempt::{Fingerprints, Provenance};
 use benchmark::{
     Directions, Execution, Explanation, Look, Purpose, Realisation, RolloutId, Stop, Suite,
     Thresholds,
 };
 use paired::{CampaignLook, Count, Progress, Record};
-use benchmark::attempt::{Fingerprints, Provenance};
 use serde::{Deserialize, Serialize};
 
 /// Outcomes of one policy, with their provenance.

@@ -4,9 +4,9 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
+use benchmark::{CONTROL_HZ, Condition, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
 use paired::adaptive::radii::{Curve, Measurement, Ray, Threshold};
 use paired::adaptive::{Decision, Outcomes};
-use benchmark::{CONTROL_HZ, Condition, Level, STEPS_PER_RADIUS, TaskRef, Thresholds};
 use paired::{Bootstrap, Outcome, Record};
 use serde::Serialize;
 

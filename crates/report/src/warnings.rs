@@ -5,8 +5,8 @@ use std::collections::BTreeSet;
 
 use paired::Outcome;
 
-use benchmark::{Condition, Look, execution_at};
 use benchmark::attempt::{CONNECTED_SINCE, Fingerprints, Provenance, first_names};
+use benchmark::{Condition, Look, execution_at};
 
 use crate::subject::{Subject, pluralise};
 

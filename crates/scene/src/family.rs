@@ -9,7 +9,9 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::thread;
 
-use crate::assets::{AssetsError, Fetch, Fetched, FileFacts, Origin, Report, Table, VerifiedFolder};
+use crate::assets::{
+    AssetsError, Fetch, Fetched, FileFacts, Origin, Report, Table, VerifiedFolder,
+};
 use benchmark::family::para;
 use benchmark::family::plus::inventory;
 use benchmark::family::pro::ProSuite;

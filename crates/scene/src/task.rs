@@ -3,11 +3,11 @@
 use std::path::PathBuf;
 use std::time::SystemTime;
 
-use benchmark::{OwnTask, TaskRef};
 use benchmark::family::para::Paraphrase;
 use benchmark::family::plus::Variant;
 use benchmark::family::pro::ProSuite;
 use benchmark::family::protocol::Benchmark;
+use benchmark::{OwnTask, TaskRef};
 
 use crate::bddl::Problem;
 use crate::error::SceneError;

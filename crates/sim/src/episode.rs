@@ -1,10 +1,10 @@
 //! A rollout in the protocol's order: the perturbed scene at its initial state, then observations
 //! and actions, each passed through its perturbation.
 
+use benchmark::attempt::Realised;
 use benchmark::streams::Randomness;
 use benchmark::{Axis, ManifestRow, Realisation, RobotShift};
 use nalgebra::Matrix3;
-use benchmark::attempt::Realised;
 
 use crate::controller::{ARM_JOINTS, ActionFrame, GRIP_SITE, RESET_JOINTS};
 use crate::error::SimError;

@@ -1,7 +1,7 @@
 use std::sync::Arc;
 
-use benchmark::presets::ENV_SEED;
 use benchmark::family::plus::CameraPose as WrittenPose;
+use benchmark::presets::ENV_SEED;
 use scene::arena::arena;
 use scene::{AssetPack, FileStamps, InitialStates, Sources, TaskFiles, compose};
 

@@ -1,9 +1,9 @@
 //! Start of a LIBERO-family variant: a reset with one generator for all draws, optionally followed
 //! by the initial state, and the camera's corruption, which continues with the same generator.
 
-use benchmark::numpy::LegacyRng;
 use benchmark::family::corruption::{Corruption, Picture};
 use benchmark::family::plus::{CameraPose, View};
+use benchmark::numpy::LegacyRng;
 
 use crate::controller::{ARM_JOINTS, RESET_JOINTS};
 use crate::environment::Environment;

@@ -3,8 +3,8 @@
 
 use std::{path::PathBuf, time::Duration};
 
-use clap::Args;
 use benchmark::Suite;
+use clap::Args;
 use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN};
 use serde::Serialize;
 use terminal::number;

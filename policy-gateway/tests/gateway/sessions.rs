@@ -3,11 +3,11 @@
 use std::time::Duration;
 
 use benchmark::RolloutId;
+use benchmark::attempt::AttemptId;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferRequest, InferResponse,
     Observation, ResetRequest, ResetResponse, policy_server::Policy,
 };
-use benchmark::attempt::AttemptId;
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 use transport::Access;

@@ -4,8 +4,8 @@
 use std::{sync::Arc, time::Duration};
 
 use futures_util::{SinkExt, StreamExt};
-use policy_gateway::doctor::conformance::scene;
 use policy_gateway::config::{self, RouteSpec};
+use policy_gateway::doctor::conformance::scene;
 use proto::policy::{InferRequest, policy_client::PolicyClient};
 use rmpv::Value;
 use tokio::{

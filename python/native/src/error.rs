@@ -1,11 +1,11 @@
 use std::error::Error;
 use std::fmt::Display;
 
-use scene::assets::AssetsError;
 use pyo3::create_exception;
 use pyo3::exceptions::{PyFileNotFoundError, PyMemoryError, PyRuntimeError, PyValueError};
 use pyo3::prelude::*;
 use scene::SceneError;
+use scene::assets::AssetsError;
 use sim::SimError;
 
 create_exception!(

@@ -5,8 +5,8 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-use scene::assets::{AssetsError, Bar, Deadlines, Fetched, FileFacts, Origin, Report, Table};
 use pyo3::prelude::*;
+use scene::assets::{AssetsError, Bar, Deadlines, Fetched, FileFacts, Origin, Report, Table};
 use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
 

@@ -2,8 +2,8 @@
 
 use std::sync::Arc;
 
-use builtin_policies::expert::Expert;
 use benchmark::Predicate;
+use builtin_policies::expert::Expert;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;

@@ -1,8 +1,8 @@
 use std::cell::RefCell;
 use std::sync::Arc;
 
-use builtin_policies::expert::Expert;
 use benchmark::family::plus::CameraPose;
+use builtin_policies::expert::Expert;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use sim::{

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
 use anyhow::{Context, Result};
-use clap::Parser;
 use benchmark::{Realisation, RolloutId, TaskRef};
+use clap::Parser;
 use proto::checks::CAMERAS;
 use scene::Sources;
 use scene::pack::LIBERO;

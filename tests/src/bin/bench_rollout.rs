@@ -12,8 +12,8 @@ use std::process::ExitCode;
 use std::rc::Rc;
 
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
 use benchmark::{ManifestRow, Query, Realisation, TaskRef};
+use clap::Parser;
 use prost::Message;
 use proto::policy::Observation;
 use scene::pack::LIBERO;

@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, Result, ensure};
-use clap::Parser;
 use benchmark::{Benchmark, Look, TaskRef};
+use clap::Parser;
 use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, Result, ensure};
-use benchmark::numpy::LegacyRng;
-use benchmark::{Benchmark, ManifestRow, Suite, TaskRef};
 use benchmark::family::plus::{Variant, entry};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::{Case, Subject};
+use benchmark::numpy::LegacyRng;
+use benchmark::{Benchmark, ManifestRow, Suite, TaskRef};
 use proto::checks::CAMERAS;
 use scene::{AssetPack, Sources, TaskFiles};
 use sha2::{Digest, Sha256};

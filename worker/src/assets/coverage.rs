@@ -3,10 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
-use scene::assets::{FileFacts, size_in_words};
 use benchmark::TaskRef;
 use benchmark::presets::ENV_SEED;
 use scene::arena::arena;
+use scene::assets::{FileFacts, size_in_words};
 use scene::catalog::category;
 use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_files};
 use terminal::counted;

@@ -3,9 +3,9 @@
 use std::io;
 use std::path::PathBuf;
 
-use scene::assets::AssetsError;
 use benchmark::family::protocol::Benchmark;
 use scene::SceneError;
+use scene::assets::AssetsError;
 
 /// Reason why an asset pack could not be listed, verified or fetched. Messages read
 /// after "failed to …".

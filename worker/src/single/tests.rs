@@ -3,13 +3,13 @@
 
 use std::time::Duration;
 
+use crate::video::PANE_SIDE;
+use benchmark::attempt::GoalProgress;
 use benchmark::{Axis, ManifestRow, Query, Realisation, row_of};
 use proto::checks::CAMERAS;
 use proto::policy as wire;
-use benchmark::attempt::GoalProgress;
 use scene::{AssetPack, Sources};
 use sim::{Renderer, SimulatorConfig};
-use crate::video::PANE_SIDE;
 
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};

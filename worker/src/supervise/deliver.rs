@@ -1,10 +1,10 @@
 //! Reports the end of a rollout to the coordinator: its result with the provenance, or the reason
 //! why it has no result. Builds the messages, and logs the coordinator's answers.
 
+use benchmark::attempt::{AttemptId, Measurement, Pin, Provenance};
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
 use proto::coordinator::release_response::Verdict as ReleaseVerdict;
 use proto::coordinator::{CommitRequest, CommitResponse, Motion, ReleaseRequest, ReleaseResponse};
-use benchmark::attempt::{AttemptId, Measurement, Pin, Provenance};
 use tonic::Status;
 use transport::chain;
 

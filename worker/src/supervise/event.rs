@@ -1,7 +1,7 @@
 //! Events of the supervisor's loop.
 
-use proto::coordinator::{ClaimResponse, HeartbeatResponse, RegisterResponse};
 use benchmark::attempt::AttemptId;
+use proto::coordinator::{ClaimResponse, HeartbeatResponse, RegisterResponse};
 use tokio::task;
 use tonic::Status;
 

@@ -6,13 +6,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
+use benchmark::attempt::{AttemptId, Backoff, Waits};
 use proto::coordinator::worker_service_client::WorkerServiceClient;
 use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, HeartbeatRequest,
     HeartbeatResponse, NextFilmRequest, NextFilmResponse, PutArtifactResponse, RegisterRequest,
     RegisterResponse, ReleaseRequest, ReleaseResponse, SignOffRequest,
 };
-use benchmark::attempt::{AttemptId, Backoff, Waits};
 use tokio::sync::{Notify, watch};
 use tokio::time::Instant;
 use tonic::{Response, Status};

@@ -10,8 +10,8 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use benchmark::ManifestRow;
-use proto::coordinator::{RegisterRequest, SignOffRequest};
 use benchmark::attempt::{AttemptId, Backoff, Waits};
+use proto::coordinator::{RegisterRequest, SignOffRequest};
 use scene::FileStamps;
 use terminal::counted;
 use tokio::sync::{mpsc, watch};

@@ -5,12 +5,12 @@ use std::fmt::Write;
 use std::path::Path;
 use std::{fmt, fs};
 
-use scene::assets::Table;
-use benchmark::presets::ENV_SEED;
-use benchmark::{ManifestRow, OwnTask};
 use benchmark::family::plus::{Assets, Entry};
 use benchmark::family::protocol::Benchmark;
 use benchmark::family::{Case, Further, Lack, Lacking, Subject};
+use benchmark::presets::ENV_SEED;
+use benchmark::{ManifestRow, OwnTask};
+use scene::assets::Table;
 use scene::catalog::category;
 use scene::{
     AssetPack, InitialStates, SceneError, Sources, TaskFiles, check_goal, compose, needed_files,

@@ -4,11 +4,11 @@
 use std::fs;
 use std::path::Path;
 
-use benchmark::{ManifestRow, OwnTask, RolloutId, SuiteFile};
 use benchmark::family::corruption::Corruption;
 use benchmark::family::plus::{View, start_posture};
 use benchmark::family::protocol::{Beginning, Benchmark, Protocol};
 use benchmark::family::{Case, SelectionError, Subject};
+use benchmark::{ManifestRow, OwnTask, RolloutId, SuiteFile};
 use scene::{Sources, TaskFiles};
 use sim::{Start, VariantStart};
 

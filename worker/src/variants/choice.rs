@@ -2,13 +2,13 @@
 
 use std::path::PathBuf;
 
-use clap::Args;
-use benchmark::{ManifestRow, Suite, TaskRef};
 use benchmark::family::para::TypeName;
 use benchmark::family::plus::{Dimension, Variant};
 use benchmark::family::pro::{ProSuite, STATES};
 use benchmark::family::protocol::Protocol;
 use benchmark::family::{Case, ParaFilters, PlusFilters, ProFilters, Selection};
+use benchmark::{ManifestRow, Suite, TaskRef};
+use clap::Args;
 use terminal::number;
 
 use super::case::rows_of_file;

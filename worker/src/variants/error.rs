@@ -3,8 +3,8 @@
 use std::io;
 use std::path::PathBuf;
 
-use benchmark::{RolloutId, SuiteFileError};
 use benchmark::family::SelectionError;
+use benchmark::{RolloutId, SuiteFileError};
 use scene::SceneError;
 use sim::SimError;
 

@@ -1,8 +1,8 @@
 //! Rollouts with an outcome.
 
 use benchmark::ManifestRow;
-use proto::coordinator::release_request::Reason;
 use benchmark::attempt::{GoalProgress, Realised};
+use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};

@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
+use benchmark::attempt::{Measurement, Provenance, RolloutResult};
 use proto::coordinator::worker_service_server::{WorkerService, WorkerServiceServer};
 use proto::coordinator::{
     ArtifactChunk, ClaimRequest, ClaimResponse, CommitRequest, CommitResponse, Film,
@@ -14,7 +15,6 @@ use proto::coordinator::{
     ReleaseResponse, SignOffRequest, SignOffResponse, commit_response, release_request,
     release_response,
 };
-use benchmark::attempt::{Measurement, Provenance, RolloutResult};
 use tokio::net::TcpListener;
 use tokio::runtime::Runtime;
 use tokio::sync::watch;

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use benchmark::attempt::AttemptId;
 use proptest::prelude::*;
 use queue::clock::UnixMillis;
 use queue::ids::{AttemptNumber, JobId, WorkerId};
@@ -14,7 +15,6 @@ use queue::rules::lease::{
 use queue::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use benchmark::attempt::AttemptId;
 
 use super::{Event, JOBS, WORKERS, event};
 

@@ -5,6 +5,9 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use benchmark::attempt::{
+    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
+};
 use futures_util::future::join_all;
 use proptest::prelude::*;
 use queue::clock::{ManualClock, UnixMillis};
@@ -17,9 +20,6 @@ use queue::{
 };
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use benchmark::attempt::{
-    AttemptId, Digests, GoalProgress, Measurement, Motion, Pin, Provenance, RolloutResult,
-};
 use serde_json::json;
 
 use super::{Event, WORKERS, event};

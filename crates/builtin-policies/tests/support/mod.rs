@@ -5,9 +5,9 @@
 
 use std::collections::{BTreeMap, HashMap};
 
+use builtin_policies::student::{PICTURE_BYTES, Query};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
-use builtin_policies::student::{PICTURE_BYTES, Query};
 
 pub struct Random(pub u64);
 

@@ -1,9 +1,9 @@
 //! Rollouts of the source campaign on which searches rest, and the random order in which
 //! configurations are searched.
 
+use crate::Record;
 use benchmark::RolloutId;
 use benchmark::seeds::rollout_seed;
-use crate::Record;
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 

@@ -4,8 +4,8 @@ mod one_ray;
 
 use std::collections::BTreeSet;
 
-use paired::adaptive::radii::Measurement;
 use benchmark::{RolloutId, Thresholds};
+use paired::adaptive::radii::Measurement;
 use paired::{Outcome, Record};
 
 /// Returns a specification of the thresholds of all conditions and configurations.

@@ -1,8 +1,8 @@
 //! Partial progress of two policies, and the design's directions, in a comparison.
 
+use benchmark::attempt::GoalProgress;
 use benchmark::{Condition, Directions, Level, RolloutId, TaskRef};
 use paired::{Bootstrap, Compared, Comparison, Outcome, Progress, Record};
-use benchmark::attempt::GoalProgress;
 
 use crate::simulated::{CONFIGURATIONS, Chance, Population};
 

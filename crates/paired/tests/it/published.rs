@@ -11,9 +11,8 @@ use serde_json::Value;
 use crate::{example, records};
 
 fn read(name: &str) -> Option<String> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR"))
-        .join("../../../shared/libero-ctrl-v0.1")
-        .join(name);
+    let path =
+        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared/libero-ctrl-v0.1").join(name);
     let text = std::fs::read_to_string(&path).ok();
     if text.is_none() {
         println!("skipped: {} is missing", path.display());

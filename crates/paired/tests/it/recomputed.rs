@@ -4,12 +4,12 @@
 use std::collections::BTreeMap;
 use std::process::Command;
 
+use benchmark::attempt::GoalProgress;
 use benchmark::{Condition, Directions, Level, RolloutId, Suite};
 use paired::{
     Bootstrap, Compared, ComparedCell, Comparison, Matched, Options, Outcome, Progress, Record,
     Records, report_of,
 };
-use benchmark::attempt::GoalProgress;
 use serde_json::{Value, json};
 
 use crate::simulated::{CONFIGURATIONS, Chance, Population};

@@ -6,10 +6,10 @@ use std::{
     sync::{Arc, LazyLock},
 };
 
-use proto::checks::CAMERAS;
-use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use benchmark::attempt::{TAUGHT_ON, TAUGHT_ON_LOOK};
 use builtin_policies::student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
+use proto::checks::CAMERAS;
+use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Setting, StateField};
 use thiserror::Error;
 
 use super::{Action, BuiltinPolicy, Policy};
@@ -44,8 +44,10 @@ impl Weights {
     }
 
     pub(crate) fn network(self) -> &'static Arc<Network> {
-        static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(builtin_policies::student::LIBERO));
-        static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(builtin_policies::student::BOXES));
+        static LIBERO: LazyLock<Arc<Network>> =
+            LazyLock::new(|| shipped(builtin_policies::student::LIBERO));
+        static BOXES: LazyLock<Arc<Network>> =
+            LazyLock::new(|| shipped(builtin_policies::student::BOXES));
         match self {
             Self::Libero => &LIBERO,
             Self::Boxes => &BOXES,

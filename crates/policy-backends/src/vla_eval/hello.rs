@@ -2,9 +2,9 @@
 //! benchmark: derives the observations that the server needs, and refuses a server that cannot be
 //! run. Pure functions.
 
+use benchmark::attempt::UNNAMED_CHECKPOINT;
 use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
-use benchmark::attempt::UNNAMED_CHECKPOINT;
 use sha2::{Digest, Sha256};
 
 use super::{address::VlaEvalAddress, message::VERSION};

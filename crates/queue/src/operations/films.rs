@@ -6,10 +6,10 @@
 use std::collections::BTreeSet;
 use std::time::Instant;
 
-use paired::adaptive::subsets::illustrative;
 use benchmark::Purpose;
-use paired::{Record, Records, Transition};
 use benchmark::attempt::Pin;
+use paired::adaptive::subsets::illustrative;
+use paired::{Record, Records, Transition};
 use sqlx::SqliteConnection;
 
 use super::error::QueueError;

@@ -3,9 +3,9 @@
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use benchmark::attempt::AttemptId;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::Rng;
-use benchmark::attempt::AttemptId;
 use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;

@@ -1,7 +1,7 @@
 //! Jobs, with their attempts.
 
-use benchmark::{Condition, Level, Look, ManifestRow};
 use benchmark::attempt::GoalProgress;
+use benchmark::{Condition, Level, Look, ManifestRow};
 use serde::ser::Error;
 use serde::{Deserialize, Serialize, Serializer};
 use sqlx::types::Json;

@@ -1,7 +1,7 @@
 //! Results of a campaign for reports and exports.
 
-use futures_util::TryStreamExt;
 use benchmark::attempt::{Digests, Fingerprints, Provenance};
+use futures_util::TryStreamExt;
 use sqlx::types::Json;
 
 use super::View;

@@ -4,8 +4,8 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use rand_chacha::rand_core::Rng;
 use benchmark::attempt::{AttemptId, Waits};
+use rand_chacha::rand_core::Rng;
 use serde::Deserialize;
 
 use crate::clock::UnixMillis;

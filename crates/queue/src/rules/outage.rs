@@ -5,8 +5,8 @@
 //! Then one job, the probe, is leased. Its first answered query resumes the other jobs; if it fails
 //! because of the policy, the next back-off is twice as long, up to a limit.
 
-use rand_chacha::rand_core::Rng;
 use benchmark::attempt::{AttemptId, Waits};
+use rand_chacha::rand_core::Rng;
 use serde::Deserialize;
 
 use crate::clock::UnixMillis;

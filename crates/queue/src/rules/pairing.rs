@@ -4,8 +4,8 @@
 
 use std::sync::Arc;
 
-use benchmark::{Axis, ManifestRow, Realisation, RolloutId};
 use benchmark::attempt::{Digests, Provenance, Realised, RolloutResult};
+use benchmark::{Axis, ManifestRow, Realisation, RolloutId};
 
 use crate::ids::WorkerId;
 

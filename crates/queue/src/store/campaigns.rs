@@ -3,8 +3,8 @@
 
 use std::collections::BTreeSet;
 
-use benchmark::{Realisation, Wanted};
 use benchmark::attempt::Pin;
+use benchmark::{Realisation, Wanted};
 use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::policies::{self, health};

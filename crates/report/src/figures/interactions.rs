@@ -1,9 +1,9 @@
 //! Interactions of the axes at one level: a matrix of Shapley values and pair interactions,
 //! and the additive decomposition from nominal to simultaneous success.
 
-use paired::adaptive::subsets::Estimate;
 use benchmark::{Axis, AxisSet};
 use maud::{Markup, html};
+use paired::adaptive::subsets::Estimate;
 
 use super::svg::{AXIS, HEAD, Scale, line, number, percent_ticks, rect, shortened, text, whisker};
 use super::{Figure, WIDTH};

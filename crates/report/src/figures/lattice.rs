@@ -3,9 +3,9 @@
 
 use std::collections::BTreeMap;
 
-use paired::adaptive::subsets::{Explanation, SubsetOutcome, Verdict};
 use benchmark::{Axis, AxisSet, RolloutId};
 use maud::{Markup, html};
+use paired::adaptive::subsets::{Explanation, SubsetOutcome, Verdict};
 
 use super::Figure;
 use super::svg::{HEAD, WIDE, diamond, line, number, square, text};

@@ -1,9 +1,9 @@
 //! Survival curves: the share of configurations that still succeed at each radius. One
 //! panel per condition, with the protocol's levels and the median radius on the axis.
 
-use paired::adaptive::radii::{Curve, Point};
 use benchmark::Level;
 use maud::{Markup, html};
+use paired::adaptive::radii::{Curve, Point};
 
 use super::svg::{AXIS, HEAD, MARGIN, Scale, circle, diamond, line, number, text, whisker};
 use super::{Figure, WIDTH};

@@ -3,10 +3,10 @@
 //! rows, each minimal subset is a column of dots, and a bar above it counts the
 //! configurations in which the subset was found.
 
-use paired::adaptive::subsets::Occurrence;
 use benchmark::{Axis, AxisSet};
 use maud::{Markup, html};
 use paired::Transition;
+use paired::adaptive::subsets::Occurrence;
 
 use super::svg::{HEAD, line, number, rect, text};
 use super::{Figure, WIDTH};

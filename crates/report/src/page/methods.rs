@@ -3,10 +3,10 @@
 
 use std::collections::BTreeSet;
 
+use benchmark::attempt::Provenance;
 use benchmark::{Look, Realisation};
 use maud::{Markup, html};
 use paired::MIN_TASKS;
-use benchmark::attempt::Provenance;
 
 use crate::analysis::Analysis;
 use crate::document::Document;

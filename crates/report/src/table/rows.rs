@@ -2,8 +2,8 @@
 
 use std::io::Write;
 
-use paired::adaptive::subsets::{Answer, Explained, MinimalSubset};
 use benchmark::{Axis, Condition, Execution, JsonError};
+use paired::adaptive::subsets::{Answer, Explained, MinimalSubset};
 use paired::{Matched, Outcome, Progress};
 use serde::Deserialize;
 

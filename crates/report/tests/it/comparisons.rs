@@ -2,10 +2,10 @@
 
 use std::path::Path;
 
+use benchmark::attempt::{GoalProgress, Pin, Provenance};
 use benchmark::{Condition, Directions, Look, RolloutId};
 use paired::{Obstacle, Outcome, Progress};
 use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures, import, page};
-use benchmark::attempt::{GoalProgress, Pin, Provenance};
 use serde_json::{Value, json};
 
 use crate::assert_fits_a_terminal;

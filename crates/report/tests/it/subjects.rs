@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use benchmark::attempt::{Fingerprints, Pin, Provenance};
 use paired::{Count, Outcome};
 use report::{BeyondRange, Document, Origin, Quarantined, Subject, import};
-use benchmark::attempt::{Fingerprints, Pin, Provenance};
 
 pub(crate) fn example() -> Subject {
     let folder = concat!(env!("CARGO_MANIFEST_DIR"), "/../../examples/openvla_oft");

@@ -1,8 +1,8 @@
 //! Warnings about a policy, and withheld intervals.
 
+use benchmark::attempt::{CONNECTED_SINCE, TAUGHT_ON, TAUGHT_ON_LOOK};
 use paired::Outcome;
 use report::{Subject, page};
-use benchmark::attempt::{CONNECTED_SINCE, TAUGHT_ON, TAUGHT_ON_LOOK};
 use serde_json::Value;
 
 use crate::subjects::{document, example, provenance};

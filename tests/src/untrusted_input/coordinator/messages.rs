@@ -1,12 +1,12 @@
 use std::sync::LazyLock;
 
+use benchmark::attempt::{
+    AttemptId, Digests, GoalProgress, Measurement, Parts, Pin, Provenance, RolloutResult,
+};
 use prost::Message;
 use proto::coordinator as wire;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use benchmark::attempt::{
-    AttemptId, Digests, GoalProgress, Measurement, Parts, Pin, Provenance, RolloutResult,
-};
 
 use crate::untrusted_input::call::methods;
 

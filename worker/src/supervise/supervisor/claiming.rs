@@ -3,9 +3,9 @@
 use std::collections::BTreeSet;
 
 use benchmark::TaskKey;
+use benchmark::attempt::AttemptId;
 use benchmark::{ManifestRow, RolloutId};
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
-use benchmark::attempt::AttemptId;
 use scene::FileStamps;
 use tokio::time::Instant;
 use tonic::{Code, Status};
@@ -215,8 +215,7 @@ impl Supervisor {
         Ok(Assignment {
             attempt,
             session: Session::new(&row.id, lease.replicate, attempt),
-            realisation: realisation
-                .map_err(|error: benchmark::UnknownName| error.to_string())?,
+            realisation: realisation.map_err(|error: benchmark::UnknownName| error.to_string())?,
             policy: lease.policy,
             policy_endpoint: endpoint.unwrap_or(lease.policy_endpoint),
             policy_seed: lease.policy_seed,

@@ -3,10 +3,10 @@
 
 use std::time::Duration;
 
+use benchmark::attempt::AttemptId;
 use proto::coordinator::{
     HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
 };
-use benchmark::attempt::AttemptId;
 use tokio::time::Instant;
 use tonic::Status;
 use transport::chain;

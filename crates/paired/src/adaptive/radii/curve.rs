@@ -20,8 +20,8 @@
 
 use std::collections::BTreeMap;
 
-use benchmark::{Condition, Level, TaskRef};
 use crate::{Bootstrap, Interval, NoInterval, intervals_of_many};
+use benchmark::{Condition, Level, TaskRef};
 use serde::Serialize;
 
 use super::search::Search;

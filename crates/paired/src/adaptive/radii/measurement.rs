@@ -3,8 +3,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use benchmark::{AxisSet, Condition, Level, RolloutId, TaskRef, Thresholds};
 use crate::{Bootstrap, Outcome, Record};
+use benchmark::{AxisSet, Condition, Level, RolloutId, TaskRef, Thresholds};
 
 use super::curve::Curve;
 use super::next::next;

@@ -1,7 +1,7 @@
 //! Selects the radii of one ray to run next.
 
-use benchmark::Level;
 use crate::Outcome;
+use benchmark::Level;
 
 use super::search::Search;
 use super::threshold::{Finding, Threshold};

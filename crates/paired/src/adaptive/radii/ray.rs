@@ -1,7 +1,7 @@
 //! Ray of one configuration under one condition, and the outcomes along it.
 
-use benchmark::{Condition, Level, TaskRef};
 use crate::Outcome;
+use benchmark::{Condition, Level, TaskRef};
 
 use crate::adaptive::outcomes::Outcomes;
 

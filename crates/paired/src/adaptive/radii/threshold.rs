@@ -1,7 +1,7 @@
 //! Threshold of one ray, derived from its known outcomes.
 
-use benchmark::Level;
 use crate::Outcome;
+use benchmark::Level;
 
 use super::search::Search;
 use crate::adaptive::outcomes::Outcomes;

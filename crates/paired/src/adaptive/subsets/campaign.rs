@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 use std::collections::btree_map::Entry;
 
-use benchmark::{Condition, Explanation, Level, RolloutId, TaskRef};
 use crate::{Record, Records};
+use benchmark::{Condition, Explanation, Level, RolloutId, TaskRef};
 
 use super::evidence::{Evidence, Repeats};
 use super::lattice::{Lattice, LatticeError};

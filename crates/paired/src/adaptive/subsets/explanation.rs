@@ -21,8 +21,8 @@
 //! Outcomes need not be monotone: camera and robot may fail while camera, robot and
 //! sensor succeed. Such a pair of subsets is reported as [`NonMonotone`].
 
-use benchmark::AxisSet;
 use crate::Transition;
+use benchmark::AxisSet;
 use serde::{Deserialize, Serialize};
 
 use super::evidence::Verdict;

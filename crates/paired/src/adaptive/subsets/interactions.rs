@@ -10,8 +10,8 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
-use benchmark::{Axis, AxisSet, TaskRef};
 use crate::{Bootstrap, Interval, NoInterval, intervals_of_many, max_t};
+use benchmark::{Axis, AxisSet, TaskRef};
 use serde::{Deserialize, Serialize};
 
 /// All outcomes of one configuration in one replicate.

@@ -1,7 +1,7 @@
 //! Outcomes of one configuration under subsets of the axes.
 
-use benchmark::{Axis, AxisSet};
 use crate::{DuplicateRecord, Matched, Outcome};
+use benchmark::{Axis, AxisSet};
 
 use super::evidence::{Evidence, Looks, Role, Verdict};
 use crate::adaptive::outcomes::{Outcomes, Tally};

@@ -90,8 +90,8 @@ impl Lattice {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use benchmark::{AxisSet, Condition, Level, TaskRef};
     use crate::Outcome;
+    use benchmark::{AxisSet, Condition, Level, TaskRef};
 
     use crate::adaptive::subsets::evidence::Evidence;
 

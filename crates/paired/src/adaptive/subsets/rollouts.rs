@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use benchmark::{AxisSet, Condition, Explanation, RolloutId};
 use crate::Record;
+use benchmark::{AxisSet, Condition, Explanation, RolloutId};
 
 use super::{Sample, configurations, explain, plan};
 

@@ -4,8 +4,8 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
-use benchmark::{AxisSet, RolloutId};
 use crate::{Interval, Transition};
+use benchmark::{AxisSet, RolloutId};
 use serde::{Deserialize, Serialize};
 
 use super::evidence::{Evidence, Verdict};

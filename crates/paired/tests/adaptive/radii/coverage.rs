@@ -1,8 +1,8 @@
 //! Compares the interval of a half-success radius with the planted radius, in simulated campaigns
 //! of 40 tasks whose thresholds are drawn from a population with a known median.
 
-use paired::adaptive::radii::{Curve, Measurement};
 use benchmark::{Axis, Condition, Level, RolloutId, TaskRef, Thresholds};
+use paired::adaptive::radii::{Curve, Measurement};
 use paired::{Bootstrap, Outcome, Record};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};

@@ -2,9 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use benchmark::{Axis, Condition, Level, RolloutId, TaskRef, Thresholds};
 use paired::adaptive::Decision;
 use paired::adaptive::radii::{Curve, Measurement};
-use benchmark::{Axis, Condition, Level, RolloutId, TaskRef, Thresholds};
 use paired::{Bootstrap, NoInterval, Outcome, Record};
 
 use super::{measure, record};

@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use paired::adaptive::radii::{Finding, Search, Threshold, next};
-use paired::adaptive::{Decision, Outcomes};
 use benchmark::{Axis, AxisSet, Condition, Level};
 use paired::Outcome;
+use paired::adaptive::radii::{Finding, Search, Threshold, next};
+use paired::adaptive::{Decision, Outcomes};
 use proptest::prelude::*;
 
 use super::thresholds;

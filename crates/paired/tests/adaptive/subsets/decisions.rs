@@ -2,12 +2,12 @@
 
 use std::collections::BTreeMap;
 
+use benchmark::{Axis, AxisSet, Condition, Level, RolloutId, TaskRef};
 use paired::adaptive::Decision;
 use paired::adaptive::subsets::{
     Evidence, Explained, Lattice, Repeats, Request, Strategy, Unexplained, Verdict, explain, next,
     occurrences,
 };
-use benchmark::{Axis, AxisSet, Condition, Level, RolloutId, TaskRef};
 use paired::{Outcome, Transition};
 use proptest::prelude::{
     BoxedStrategy, Just, any, prop, prop_assert, prop_assert_eq, prop_oneof, proptest,

@@ -1,7 +1,7 @@
 //! Interactions add up exactly and agree with their definitions.
 
-use paired::adaptive::subsets::{CompleteLattice, Estimate, Interactions};
 use benchmark::{Axis, AxisSet, TaskRef};
+use paired::adaptive::subsets::{CompleteLattice, Estimate, Interactions};
 use paired::{Bootstrap, NoInterval};
 use proptest::prelude::*;
 

@@ -3,10 +3,10 @@
 
 use std::collections::BTreeMap;
 
-use paired::adaptive::Decision;
-use paired::adaptive::subsets::{Evidence, Explanation, Lattice, Request, Strategy, explain, next};
 use benchmark::{Axis, AxisSet};
 use paired::Outcome;
+use paired::adaptive::Decision;
+use paired::adaptive::subsets::{Evidence, Explanation, Lattice, Request, Strategy, explain, next};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 

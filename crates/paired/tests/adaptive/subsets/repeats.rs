@@ -2,9 +2,9 @@
 //! to any false claim, although a lattice has 63 non-empty subsets and was selected by its
 //! outcomes.
 
-use paired::adaptive::subsets::{Evidence, Lattice, Repeats, Strategy, explain, selected};
 use benchmark::AxisSet;
 use paired::Outcome;
+use paired::adaptive::subsets::{Evidence, Lattice, Repeats, Strategy, explain, selected};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 

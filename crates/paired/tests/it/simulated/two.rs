@@ -1,8 +1,8 @@
 //! Campaigns of two policies, A and B, whose true differences are known.
 
+use benchmark::attempt::GoalProgress;
 use benchmark::{Condition, Directions, Level};
 use paired::{Bootstrap, Compared, Comparison, Progress, Record};
-use benchmark::attempt::GoalProgress;
 
 use super::{
     CONDITIONS, CONFIGURATIONS, Chance, Effects, Population, conditions, logistic, normal_points,
