@@ -19,8 +19,14 @@ struct Up {
 
 impl Up {
     fn start(data: &Path, arguments: &[&str]) -> Self {
+        let gateway = match arguments.contains(&"--gateway-listen") {
+            true => &[][..],
+            false => &["--gateway-listen", "127.0.0.1:0"],
+        };
         let mut child = Command::new(program("coordinator"))
-            .args(["up", "--listen", "127.0.0.1:0", "--gateway-listen", "127.0.0.1:0", "--data"])
+            .args(["up", "--listen", "127.0.0.1:0"])
+            .args(gateway)
+            .arg("--data")
             .arg(data)
             .args(arguments)
             .env_remove("RUST_LOG")
@@ -195,4 +201,35 @@ fn a_program_that_is_killed_is_started_again_at_its_address() {
     let (code, output) = bad.end();
     assert_eq!(code, Some(1), "{output}");
     assert!(output.contains("failed to keep `worker` running"), "{output}");
+}
+
+#[test]
+fn a_killed_evaluation_is_continued_by_the_same_command_and_ends_with_its_report() {
+    let data = tempfile::tempdir().unwrap();
+    let port = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let gateway = port.local_addr().expect("an address").to_string();
+    drop(port);
+    #[rustfmt::skip]
+    let arguments = [
+        "--slots", "1", "--assets", "primitives", "--policy", "builtin:expert", "--small",
+        "--tasks", "libero_object/1", "--gateway-listen", &gateway,
+    ];
+    let folder = data.path().join("data");
+    let up = Up::start(&folder, &arguments).ready();
+    let committed = || {
+        let exported = up.call(&["export", "expert-small", "--format", "jsonl"]);
+        String::from_utf8_lossy(&exported.stdout).lines().count()
+    };
+    while committed() == 0 {
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    up.signal("-KILL", up.child.id());
+    let (code, output) = up.end();
+    assert!(code.is_none() && output.contains("campaign expert-small begins: 25 "), "{output}");
+
+    let (code, output) = Up::start(&folder, &arguments).end();
+    assert_eq!(code, Some(0), "{output}");
+    for words in ["campaign expert-small continues: 25 ", "simultaneous", "up          | stopped"] {
+        assert!(output.contains(words), "{words}: {output}");
+    }
 }

@@ -42,7 +42,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let oracle = oracle.unwrap_or_else(|| root.join("../shared/oracle"));
     let assets = setup::assets_or(root, options.assets.as_deref(), &options.task)?;
     let original = Original::provide(&cache, &oracle, &assets);
-    let shim = wheel::installed(root, &cache, Profile::Release)?;
+    let shim = wheel::installed(root, &cache, Profile::Release, None)?;
     let clients = clients::provide(root, &cache);
     let clients = clients.as_deref().map(packages).transpose()?;
     // PYTHONPATH of a simulator: its own packages precede those of LeRobot, RLinf and vla-eval.

@@ -1,11 +1,15 @@
 //! Calls cargo and locates the programs that it built.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 
 use crate::process::run;
+
+/// Glibc that a release is linked against: the oldest one that runs it, that of RHEL 8 and Debian 10.
+pub(crate) const GLIBC: (u32, u32) = (2, 28);
 
 /// Returns the command of the cargo that runs this program, in the workspace's folder.
 pub(crate) fn cargo(root: &Path) -> Command {
@@ -54,16 +58,37 @@ pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     Ok(programs.join(name))
 }
 
-/// Builds the named programs with the release profile, and returns their folder.
-pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
+/// Builds the named programs with the release profile for [`GLIBC`], and returns their folder.
+/// `tools` has zig, which links against any version of glibc and brings its own runtime.
+pub(crate) fn build_released_programs(
+    root: &Path,
+    tools: &Path,
+    names: &[&str],
+) -> Result<PathBuf> {
     println!("Building the programs with the release profile");
-    let bins = names.iter().flat_map(|name| ["--bin", name]);
-    let arguments: Vec<&str> = WORKSPACE.into_iter().chain(["--release"]).chain(bins).collect();
-    Ok(build(root, &arguments)?.with_file_name("release"))
+    let target = format!("{}-unknown-linux-gnu", std::env::consts::ARCH);
+    let mut zigbuild = Command::new(tools.join("cargo-zigbuild"));
+    zigbuild.current_dir(root).env("PATH", path_with(tools)?);
+    remove_package_variables(&mut zigbuild);
+    zigbuild.args(["zigbuild", "--release", "--target"]);
+    zigbuild.arg(format!("{target}.{}.{}", GLIBC.0, GLIBC.1)).args(WORKSPACE);
+    run(zigbuild.args(names.iter().flat_map(|name| ["--bin", name])))?;
+    Ok(build_folder(root)?.with_file_name(target).join("release"))
+}
+
+/// Returns the search path for programs with a further folder in front.
+pub(crate) fn path_with(folder: &Path) -> Result<OsString> {
+    let path = std::env::var_os("PATH").unwrap_or_default();
+    let path = std::iter::once(folder.to_owned()).chain(std::env::split_paths(&path));
+    std::env::join_paths(path).context("join PATH")
 }
 
 fn build(root: &Path, arguments: &[&str]) -> Result<PathBuf> {
     run(cargo(root).arg("build").args(arguments))?;
+    build_folder(root)
+}
+
+fn build_folder(root: &Path) -> Result<PathBuf> {
     // The same cargo built this program into the same folder.
     let this_program = std::env::current_exe()?;
     Ok(this_program.parent().map_or_else(|| root.join("target/debug"), Path::to_owned))

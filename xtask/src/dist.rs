@@ -1,4 +1,5 @@
-//! `cargo xtask dist`: an archive of the programs with everything that they need except glibc.
+//! `cargo xtask dist`: the release. An archive of the programs with everything that they need except
+//! glibc, the same as a wheel, and the wheels of the Python packages.
 
 mod archive;
 mod bare_root;
@@ -11,15 +12,17 @@ mod stage;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, bail};
+use anyhow::{Context, Result, bail, ensure};
 
-use crate::cargo::{build_programs, build_released_programs};
-use crate::process::{capture, run as run_command};
+use crate::cargo::{GLIBC, build_programs, build_released_programs};
+use crate::process::capture;
 use crate::setup;
+use crate::wheel::{self, Profile};
 
 pub(crate) use archive::digest;
 pub(crate) use check::test;
-use release::PROGRAMS;
+pub(crate) use release::{PROGRAMS, VERSION};
+pub(crate) use stage::{Staged, fill};
 
 /// Options of `cargo xtask dist`.
 #[derive(clap::Args)]
@@ -27,41 +30,39 @@ pub(crate) struct Options {
     /// `dev` packs programs of the development profile, to try the packing itself.
     #[arg(long, default_value = "release")]
     profile: Profile,
-    /// Also builds a container image, with this program: `podman`, `docker` or `buildah`.
-    #[arg(long, value_name = "PROGRAM", num_args = 0..=1, default_missing_value = "podman")]
-    image: Option<String>,
-    /// Folder of the archive. [default: target/dist]
+    /// Folder of the archive and the wheels. [default: target/dist]
     #[arg(long)]
     output: Option<PathBuf>,
 }
 
-#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
-enum Profile {
-    Release,
-    Dev,
-}
-
-/// Makes the archive, tests it in a bare root, and prints its path.
+/// Makes the archive and the wheels, tests the archive in a bare root, and prints all paths.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
-    if options.profile == Profile::Release {
-        refuse_uncommitted_changes(root)?;
-        licences::tool(root)?;
-    }
     let programs = match options.profile {
-        Profile::Release => build_released_programs(root, &PROGRAMS)?,
+        Profile::Release => {
+            refuse_uncommitted_changes(root)?;
+            licences::tool(root)?;
+            build_released_programs(root, &wheel::tools(&cache)?, &PROGRAMS)?
+        }
         Profile::Dev => build_programs(root)?,
     };
     let output = options.output.clone();
     let output = output.unwrap_or_else(|| root.join("target/dist"));
     let archive = archive::make(root, &cache, &programs, &output)?;
+    let Staged { glibc, libraries, .. } = &archive.staged;
+    if options.profile == Profile::Release {
+        ensure!(
+            *glibc <= GLIBC && libraries.is_empty(),
+            "make a release: the programs need glibc {}.{} and {libraries:?}",
+            glibc.0,
+            glibc.1
+        );
+    }
     check::check_archive(root, &archive)?;
     archive::describe(&archive.file)?;
-    if let Some(program) = &options.image {
-        let mut build = Command::new(program);
-        build.args(["build", "--tag", &format!("rollout:{}", release::VERSION), "--file"]);
-        build.arg(root.join("deploy/container/Containerfile"));
-        run_command(build.arg(output.join(&archive.name)))?;
+    let wheels = output.join("wheels");
+    for file in wheel::build(root, &cache, options.profile, Some(&archive.staged), &wheels)? {
+        archive::describe(&file)?;
     }
     Ok(())
 }

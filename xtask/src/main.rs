@@ -9,16 +9,13 @@ mod cargo;
 mod check;
 mod clients;
 mod demo;
-mod deploy;
 mod dist;
 mod lint;
 mod original;
 mod packages;
 mod process;
 mod python;
-mod ray;
 mod running;
-mod s3;
 mod setup;
 mod skipped;
 mod step;
@@ -44,7 +41,7 @@ struct Arguments {
 enum Command {
     /// Fetch and check the requirements for building and simulating; idempotent.
     Setup {
-        /// Also install the libraries for OpenGL rendering (`worker --renderer gl`).
+        /// Also check for the libraries of OpenGL rendering (`worker --renderer gl`).
         #[arg(long)]
         gl: bool,
     },
@@ -63,14 +60,7 @@ enum Command {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         filters: Vec<String>,
     },
-    /// Build the Python packages' wheels.
-    Wheel {
-        /// Folder to copy them into. [default: they stay in
-        /// target/wheels/release]
-        #[arg(long)]
-        output: Option<PathBuf>,
-    },
-    /// Make the release archive, and test it in a root folder with glibc only.
+    /// Make the release: the archive, tested in a root folder with glibc only, and all wheels.
     Dist(dist::Options),
     /// Run a benchmark; PERFORMANCE.md and RELIABILITY.md in docs/dev, and docs/PYTHON.md,
     /// describe them.
@@ -120,7 +110,6 @@ fn main() -> ExitCode {
         Command::Demo(options) => demo::run(&root(), &options),
         Command::Check => check::run(&root()),
         Command::Test { suite, filters } => test::run(&root(), &suite, &filters),
-        Command::Wheel { output } => wheels(output.as_deref()),
         Command::Dist(options) => dist::run(&root(), &options),
         Command::Bench(Bench::Draw { arguments }) => {
             test::program(&root(), "bench_draw", &arguments)
@@ -150,11 +139,6 @@ fn set_up(gl: bool) -> anyhow::Result<()> {
     // Builds the demo's programs together, so that the demo compiles nothing more.
     let programs = cargo::build_only(&root(), &demo::PROGRAMS)?;
     setup::assets(&programs, "all").map(drop)
-}
-
-fn wheels(output: Option<&Path>) -> anyhow::Result<()> {
-    let cache = setup::run(&root())?;
-    wheel::run(&root(), &cache, output)
 }
 
 /// Runs the queue's benchmark, which needs no simulator and so no setup. Uses the release profile,

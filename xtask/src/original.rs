@@ -6,7 +6,6 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::process::capture;
 use crate::setup;
 use crate::step::step;
 use crate::venv;
@@ -32,8 +31,6 @@ const PACKAGES: [&str; 15] = [
 /// The original's packages. They are installed without the dependencies that they declare, whose
 /// versions do not exist for newer Pythons; [`PACKAGES`] suffices.
 const ORIGINAL: [&str; 2] = ["robosuite==1.4.0", "hf-libero==0.1.4"];
-/// File that marks an environment as complete; holds the list of its packages.
-const STAMP: &str = "installed.txt";
 
 pub(crate) struct Original {
     python: PathBuf,
@@ -57,10 +54,12 @@ impl Original {
         let assets = assets.canonicalize().with_context(|| {
             format!("find LIBERO's assets at {}: give their folder with --assets", assets.display())
         })?;
-        step("the original's rendering libraries", setup::original_packages)?;
+        setup::opengl()?;
         let dir = cache.join("original");
         let python = dir.join("bin/python");
-        step("the original's Python packages", || install(&dir, &python))?;
+        step("the original's Python packages", || {
+            venv::with_undeclared(&dir, &PACKAGES, &ORIGINAL)
+        })?;
         let packages = venv::packages(&python)?;
         let package = packages.join("libero/libero");
         link(&package.join("assets"), &assets)?;
@@ -95,26 +94,6 @@ impl Original {
             .env("PYTHONDONTWRITEBYTECODE", "1");
         command
     }
-}
-
-fn install(dir: &Path, python: &Path) -> Result<&'static str> {
-    let requirements = [&PACKAGES[..], &ORIGINAL[..]].concat().join("\n");
-    let stamp = dir.join(STAMP);
-    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
-        return Ok("already there");
-    }
-    capture(Command::new("python3").args(["-m", "venv", "--clear"]).arg(dir))
-        .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
-    let pip = |arguments: &[&str]| {
-        let mut pip = Command::new(python);
-        pip.args(["-m", "pip", "install", "--quiet"]);
-        pip.arg("--disable-pip-version-check").args(arguments);
-        capture(&mut pip).context("install Python packages (is the package index reachable?)")
-    };
-    pip(&PACKAGES)?;
-    pip(&[&["--no-deps"], &ORIGINAL[..]].concat())?;
-    std::fs::write(&stamp, requirements).with_context(|| format!("write {}", stamp.display()))?;
-    Ok("installed")
 }
 
 /// Writes LIBERO's settings, which hold the paths of its folders. Without settings, LIBERO would

@@ -7,6 +7,7 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 use crate::step::step;
+use crate::venv::new_environment;
 use crate::wheel::SETUPTOOLS;
 
 /// Packages whose messages the tests compare with the gateway's: the client with which openpi's
@@ -25,8 +26,7 @@ pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     let dir = cache.join("policies-venv");
     let python = dir.join("bin/python");
     if !python.exists() {
-        capture(Command::new("python3").args(["-m", "venv"]).arg(&dir))
-            .context("make a virtual environment (Debian: `apt-get install python3-venv`)")?;
+        new_environment(&dir)?;
     }
     let package = format!("{}[dev]", root.join("policies").display());
     capture(pip(&python, "install").arg("--editable").arg(package))?;

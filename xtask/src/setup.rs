@@ -1,5 +1,5 @@
-//! Checks and fetches the requirements of a build of the workspace, and installs optional parts:
-//! OpenGL rendering, a browser for the live page, a cluster scheduler for tests.
+//! Checks and fetches the requirements of a build of the workspace. No package manager of the
+//! system is called: messages name what is missing.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -11,23 +11,23 @@ use crate::packages::{WHEELS, Wheel};
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 
-/// Debian packages for off-screen OpenGL rendering, and the libraries whose presence shows that the
-/// packages are installed.
-const GL_PACKAGES: [&str; 5] =
-    ["libegl1", "libegl-mesa0", "libgl1-mesa-dri", "libgl1", "libopengl0"];
-const GL_LIBRARIES: [&str; 3] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0"];
+/// Packages of what may be missing, for apt, dnf and conda (from conda-forge).
+const PACKAGES: [(&str, [&str; 3]); 4] = [
+    ("cc", ["build-essential", "gcc gcc-c++", "c-compiler cxx-compiler binutils"]),
+    ("pip", ["python3-pip python3-venv", "python3-pip", "python pip"]),
+    ("npm", ["npm", "npm", "nodejs"]),
+    (
+        "OpenGL",
+        [
+            "libegl1 libgl1 libgl1-mesa-dri libgles2 libopengl0",
+            "libglvnd-egl libglvnd-gles libglvnd-glx libglvnd-opengl mesa-dri-drivers mesa-libEGL",
+            "libegl libgl libgles libopengl mesalib",
+        ],
+    ),
+];
 
-/// Additional package for the original LIBERO, which renders through PyOpenGL, and its library.
-const GLES_PACKAGE: &str = "libgles2";
-const GLES_LIBRARY: &str = "libGLESv2.so.2";
-
-/// Browser: name of both the Debian package and the program.
-const BROWSER_PACKAGE: &str = "chromium";
-
-/// Scheduler: Debian packages, and the programs whose presence shows that the packages are
-/// installed.
-const SLURM_PACKAGES: [&str; 4] = ["slurmctld", "slurmd", "slurm-client", "munge"];
-const SLURM_DAEMONS: [&str; 3] = ["slurmctld", "slurmd", "munged"];
+/// Libraries with which `worker --renderer gl` and, with the last, the original LIBERO draw.
+const GL_LIBRARIES: [&str; 4] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0", "libGLESv2.so.2"];
 
 /// Sets up the machine, skipping completed steps. Returns the cache folder.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
@@ -74,41 +74,28 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
     }
 }
 
-/// Installs the libraries for off-screen OpenGL rendering.
+/// Checks for the libraries for off-screen OpenGL rendering.
 pub(crate) fn opengl() -> Result<()> {
-    step("OpenGL without a screen", gl_packages).map(|_| ())
+    step("OpenGL without a screen", || {
+        let known = ["ldconfig", "/sbin/ldconfig"]
+            .iter()
+            .find_map(|program| capture(Command::new(program).arg("-p")).ok())
+            .unwrap_or_default();
+        match GL_LIBRARIES.into_iter().find(|library| !known.contains(library)) {
+            Some(library) => bail!("find {library} ({})", remedy("OpenGL")),
+            None => Ok("there"),
+        }
+    })
+    .map(drop)
 }
 
-/// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more library.
-pub(crate) fn original_packages() -> Result<&'static str> {
-    gl_packages()?;
-    if known_libraries().contains(GLES_LIBRARY) {
-        return Ok("already there");
-    }
-    install(&[GLES_PACKAGE])?;
-    Ok("installed")
-}
-
-/// Installs the browser for the live page's tests.
-pub(crate) fn browser() -> Result<&'static str> {
-    if capture(Command::new(BROWSER_PACKAGE).arg("--version")).is_ok() {
-        return Ok("already there");
-    }
-    install(&[BROWSER_PACKAGE])?;
-    Ok("installed")
-}
-
-/// Installs the scheduler for the tests of `deploy/slurm`.
-pub(crate) fn slurm() -> Result<&'static str> {
-    let is_installed = |program: &str| {
-        let daemon = Path::new("/usr/sbin").join(program);
-        daemon.is_file() || capture(Command::new("which").arg(program)).is_ok()
-    };
-    if SLURM_DAEMONS.into_iter().all(is_installed) {
-        return Ok("already there");
-    }
-    install(&SLURM_PACKAGES)?;
-    Ok("installed")
+/// Returns the commands that install what is missing, one of [`PACKAGES`].
+pub(crate) fn remedy(missing: &str) -> String {
+    let packages = PACKAGES.iter().find(|(name, _)| *name == missing);
+    let [apt, dnf, conda] = packages.expect("the table has it").1;
+    format!(
+        "`apt-get install {apt}`, `dnf install {dnf}`, or `conda install -c conda-forge {conda}`"
+    )
 }
 
 fn cache_dir() -> Result<PathBuf> {
@@ -119,9 +106,9 @@ fn cache_dir() -> Result<PathBuf> {
 
 fn tools() -> Result<String> {
     let pip = capture(Command::new("python3").args(["-m", "pip", "--version"]))
-        .context("find Python 3 with pip (Debian: `apt-get install python3-pip`)")?;
+        .with_context(|| format!("find Python 3 with pip ({})", remedy("pip")))?;
     capture(Command::new("cc").arg("--version"))
-        .context("find a C compiler (Debian: `apt-get install build-essential`)")?;
+        .with_context(|| format!("find a C compiler ({})", remedy("cc")))?;
     let version = pip.split_whitespace().nth(1).unwrap_or("?").to_owned();
     Ok(format!("cc, pip {version}"))
 }
@@ -152,46 +139,4 @@ fn link_mujoco(root: &Path, cache: &Path) -> Result<&'static str> {
     std::os::unix::fs::symlink(&library, &link)
         .with_context(|| format!("make {}", link.display()))?;
     Ok("linked")
-}
-
-fn gl_packages() -> Result<&'static str> {
-    if gl_libraries_present() {
-        return Ok("already there");
-    }
-    install(&GL_PACKAGES)?;
-    run_command(&mut Command::new("ldconfig"))?;
-    if !gl_libraries_present() {
-        bail!("find {} after installing them", GL_LIBRARIES.join(", "));
-    }
-    Ok("installed")
-}
-
-/// Installs Debian packages, which requires root.
-fn install(packages: &[&str]) -> Result<()> {
-    let manual_command = format!("apt-get install --yes {}", packages.join(" "));
-    let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
-    if !is_root {
-        bail!("install missing packages: run `sudo {manual_command}`, then run this command again");
-    }
-    let apt_get = |arguments: &[&str]| {
-        let mut apt = Command::new("apt-get");
-        apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
-        capture(&mut apt).with_context(|| format!("install packages (by hand: `{manual_command}`)"))
-    };
-    apt_get(&["update"])?;
-    apt_get(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;
-    Ok(())
-}
-
-/// Returns the dynamic linker's list of libraries.
-fn known_libraries() -> String {
-    ["ldconfig", "/sbin/ldconfig"]
-        .iter()
-        .find_map(|program| capture(Command::new(program).arg("-p")).ok())
-        .unwrap_or_default()
-}
-
-fn gl_libraries_present() -> bool {
-    let known = known_libraries();
-    GL_LIBRARIES.iter().all(|library| known.contains(library))
 }

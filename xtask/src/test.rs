@@ -11,17 +11,15 @@ use clap::ValueEnum;
 
 use crate::cargo::{build_program, build_programs, cargo, remove_package_variables};
 use crate::demo;
-use crate::deploy;
 use crate::dist;
 use crate::lint;
 use crate::process::{capture, run as run_command};
 use crate::python;
-use crate::ray;
-use crate::s3;
 use crate::setup;
 use crate::skipped;
 use crate::step::step;
 use crate::typescript;
+use crate::venv::optional;
 use crate::wheel;
 
 /// A part of the tests that can be run alone.
@@ -46,6 +44,11 @@ pub(crate) enum Suite {
     /// The demo, with fewer rollouts.
     Demo,
 }
+
+/// Packages of optional tests: Kubernetes' schemas, a server of S3's protocol, and Ray.
+const SCHEMAS: [&str; 1] = ["kubernetes-validate==1.37.0"];
+const S3_SERVER: [&str; 1] = ["moto[server]==5.2.5"];
+const RAY: [&str; 2] = ["ray==2.60.0", "pytest>=7"];
 
 /// Tests `raster` with the checks that the profile `dev` omits. The package `workspace-hack`
 /// selects the features with which shared dependencies are already compiled.
@@ -161,7 +164,7 @@ impl Tests<'_> {
             }
             Suite::Ray => {
                 println!("Testing the launcher on Ray");
-                ray::test(root, cache, programs)?;
+                ray(root, cache, programs)?;
             }
             Suite::Demo => {
                 println!("Testing the demo, with fewer rollouts");
@@ -178,19 +181,9 @@ impl Tests<'_> {
         let python = step("Python environment for policies/", || python::environment(root, cache))?;
         let packages = python::packages(root, cache)?;
         let typescript = typescript::build(root)?;
-        step("browser for the live page's tests", || {
-            // If there is no browser, these tests are skipped with a message.
-            let outcome = setup::browser().map(str::to_owned);
-            Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
-        })?;
-        step("Slurm for the tests of deploy/", || {
-            // If there is no Slurm, these tests are skipped with a message.
-            let outcome = setup::slurm().map(str::to_owned);
-            Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
-        })?;
         step("dependencies against deny.toml", || deny(root))?;
-        let schemas = deploy::schemas(cache);
-        let bucket = s3::server(cache);
+        let schemas = optional("schemas of deploy/", &cache.join("deploy-venv"), &SCHEMAS);
+        let bucket = optional("S3 server", &cache.join("s3-venv"), &S3_SERVER);
         println!("Testing");
         let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
         let mut tests = cargo(root);
@@ -208,11 +201,11 @@ impl Tests<'_> {
         if let Some(server) = typescript {
             tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
         }
-        if let Some(python) = &schemas {
-            tests.env("ROLLOUT_DEPLOY_PYTHON", python);
+        if let Some(programs) = &schemas {
+            tests.env("ROLLOUT_DEPLOY_PYTHON", programs.join("python"));
         }
-        if let Some(server) = &bucket {
-            tests.env("ROLLOUT_S3_SERVER", server);
+        if let Some(programs) = &bucket {
+            tests.env("ROLLOUT_S3_SERVER", programs.join("moto_server"));
         }
         std::thread::scope(|threads| {
             let lints = with_lints.then(|| threads.spawn(|| run_command(&mut lints(root))));
@@ -287,6 +280,20 @@ fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     )
 }
 
+/// Tests the launcher of `deploy/ray` on Ray itself, if Ray can be installed.
+fn ray(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
+    let Some(tools) = optional("Ray for the tests of deploy/ray", &cache.join("ray"), &RAY) else {
+        println!("  skipped deploy/ray/tests: no Ray");
+        return Ok(());
+    };
+    let mut pytest = Command::new(tools.join("python"));
+    pytest
+        .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
+        .arg(root.join("deploy/ray/tests"))
+        .env("ROLLOUT_PROGRAMS", programs);
+    run_command(&mut pytest)
+}
+
 /// Checks licences, sources, bans and advisories of the dependencies, if cargo-deny is installed.
 fn deny(root: &Path) -> Result<String> {
     if capture(cargo(root).args(["deny", "--version"])).is_err() {
@@ -302,7 +309,7 @@ fn deny(root: &Path) -> Result<String> {
     }
 }
 
-/// Builds and runs a program. Installs the OpenGL libraries only if the program draws through
+/// Builds and runs a program. Checks for the OpenGL libraries only if the program draws through
 /// OpenGL with these arguments.
 pub(crate) fn program(root: &Path, name: &str, arguments: &[String]) -> Result<()> {
     setup::run(root)?;
@@ -330,16 +337,16 @@ mod tests {
     use super::draws_through_opengl;
 
     #[test]
-    fn opengl_is_installed_only_for_programs_that_use_it() {
-        let installs_opengl = |name: &str, arguments: &str| {
+    fn opengl_is_checked_only_for_programs_that_use_it() {
+        let checks_opengl = |name: &str, arguments: &str| {
             let arguments: Vec<String> = arguments.split_whitespace().map(str::to_owned).collect();
             draws_through_opengl(name, &arguments)
         };
-        assert!(!installs_opengl("parity", "--reference glass --assets gl"));
-        assert!(!installs_opengl("parity", "--renderer software"));
-        assert!(installs_opengl("parity", "--renderer gl"));
-        assert!(installs_opengl("parity", "--renderer=gl:1 --reference DIR"));
-        assert!(!installs_opengl("parity", "--renderer"));
-        assert!(installs_opengl("bench_draw", "--tasks all"));
+        assert!(!checks_opengl("parity", "--reference glass --assets gl"));
+        assert!(!checks_opengl("parity", "--renderer software"));
+        assert!(checks_opengl("parity", "--renderer gl"));
+        assert!(checks_opengl("parity", "--renderer=gl:1 --reference DIR"));
+        assert!(!checks_opengl("parity", "--renderer"));
+        assert!(checks_opengl("bench_draw", "--tasks all"));
     }
 }

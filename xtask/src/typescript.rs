@@ -6,6 +6,7 @@ use std::process::Command;
 use anyhow::{Context, Result};
 
 use crate::process::capture;
+use crate::setup::remedy;
 use crate::step::step;
 
 /// File that marks a folder of packages as complete; holds the lock file that they were installed
@@ -17,7 +18,7 @@ const STAMP: &str = "node_modules/.installed-from";
 pub(crate) fn build(root: &Path) -> Result<Option<PathBuf>> {
     let folder = root.join("policies/typescript");
     if capture(Command::new("npm").arg("--version")).is_err() {
-        step("TypeScript policy", || Ok("skipped: no npm (Debian: `apt-get install npm`)"))?;
+        step("TypeScript policy", || Ok(format!("skipped: no npm ({})", remedy("npm"))))?;
         return Ok(None);
     }
     step("packages for policies/typescript", || install(&folder))?;

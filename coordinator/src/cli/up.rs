@@ -9,9 +9,12 @@
 //! `up` belongs to `coordinator` because operators already have it: completions, manual pages and
 //! the release archive include it.
 
+mod evaluation;
+
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::process::{ExitStatus, Stdio};
+use std::str::FromStr;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
@@ -27,6 +30,7 @@ use tokio::sync::mpsc;
 use tokio::task::JoinSet;
 
 use super::command::{CommandError, print_line, usage};
+use evaluation::Evaluation;
 
 /// Interval between two polls for an exited child process.
 const POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -34,14 +38,15 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 const WORKED_FOR: Duration = Duration::from_secs(60);
 /// Width of the program name that prefixes each output line, columns.
 const NAME_COLUMNS: usize = 11;
-/// Default routes: two of the policies that are built into the gateway.
-const BUILT_IN: [&str; 2] = ["student=builtin:student", "expert=builtin:expert"];
+/// Default policies: two of those that are built into the gateway.
+const BUILT_IN: [&str; 2] = ["builtin:student", "builtin:expert"];
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
   coordinator up
-  coordinator up --route mine=grpc://127.0.0.1:5000 --slots 2
+  coordinator up --policy ws://gpu1:8000 --standard
+  coordinator up --policy pi05=ws://gpu1:8000 --small --slots 2
   coordinator up --data ~/campaigns --assets ~/libero-assets";
 
 #[derive(Args, Debug)]
@@ -50,10 +55,13 @@ pub(super) struct UpArguments {
     /// Folder of the database and the artifacts; created if missing.
     #[arg(long, value_name = "DIR", default_value = "campaigns")]
     data: PathBuf,
-    /// Route of the gateway: a policy's name and its server, as for `policy-gateway --route`;
-    /// repeatable. It replaces the built-in policies: repeat theirs to keep them.
-    #[arg(long = "route", value_name = "NAME=BACKEND", default_values = BUILT_IN)]
-    routes: Vec<String>,
+    /// A policy: its server, as for `policy-gateway --route`, and optionally its name, which
+    /// otherwise follows from the server's address; repeatable. It replaces the built-in policies:
+    /// repeat theirs to keep them.
+    #[arg(long = "policy", value_name = "[NAME=]BACKEND", default_values = BUILT_IN)]
+    policies: Vec<Policy>,
+    #[command(flatten)]
+    evaluation: Evaluation,
     /// Models of objects and rooms: `libero`, fetched as tasks need it, `primitives`, or the
     /// path of a LIBERO assets folder.
     #[arg(long, value_name = "PACK_OR_PATH", default_value = "libero")]
@@ -75,6 +83,32 @@ pub(super) struct UpArguments {
     gateway_listen: SocketAddr,
 }
 
+/// Policy of the gateway.
+#[derive(Clone, Debug)]
+struct Policy {
+    name: String,
+    backend: String,
+}
+
+impl FromStr for Policy {
+    type Err = std::convert::Infallible;
+
+    /// Reads `NAME=BACKEND` or `BACKEND`; the gateway checks both parts.
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        // Before a `=` in a back-end's address stands the `:` of its scheme.
+        let (name, backend) = match text.split_once('=') {
+            Some((name, backend)) if !name.contains(':') => (name.to_owned(), backend),
+            _ => {
+                let address = text.split_once(':').map_or(text, |(_, address)| address);
+                let address = address.split(['?', ',']).next().unwrap_or_default();
+                let name = address.trim_matches('/');
+                (name.replace(|c: char| !c.is_ascii_alphanumeric() && c != '.', "-"), text)
+            }
+        };
+        Ok(Self { name, backend: backend.to_owned() })
+    }
+}
+
 pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
     for address in [arguments.listen, arguments.gateway_listen] {
         if !address.ip().is_loopback() {
@@ -92,7 +126,7 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
         programs.print("stopping the other programs");
     }
     programs.stop(&mut requests).await;
-    Ok(ended?)
+    ended
 }
 
 /// Starts the programs in order and waits for SIGINT or SIGTERM.
@@ -100,7 +134,7 @@ async fn run(
     arguments: &UpArguments,
     programs: &mut Programs,
     requests: &mut Requests,
-) -> anyhow::Result<()> {
+) -> Result<(), CommandError> {
     let strings = |words: &[&str]| words.iter().map(ToString::to_string).collect::<Vec<_>>();
     let data = arguments.data.to_str().context("read --data: write a path in UTF-8")?;
     let listen = arguments.listen.to_string();
@@ -109,8 +143,8 @@ async fn run(
         return Ok(());
     };
     let mut gateway = strings(&["--listen", &arguments.gateway_listen.to_string()]);
-    for route in &arguments.routes {
-        gateway.extend(strings(&["--route", route]));
+    for Policy { name, backend } in &arguments.policies {
+        gateway.extend(strings(&["--route", &format!("{name}={backend}")]));
     }
     let Some(gateway) = programs.serve("policy-gateway", gateway, requests).await? else {
         return Ok(());
@@ -123,17 +157,17 @@ async fn run(
         return Ok(());
     }
     print_line(&startup_message(arguments, &coordinator, &gateway))?;
+    let evaluation = arguments.evaluation.run(&arguments.policies, &coordinator, &gateway);
     tokio::select! {
         () = requests.next() => Ok(()),
         () = programs.keep_running() => Ok(()),
+        done = evaluation => done,
     }
 }
 
 /// Returns the startup message: the addresses, and example commands for another terminal.
 fn startup_message(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
-    let first = arguments.routes.first().map(String::as_str);
-    let policy = first.and_then(|route| route.split('=').next());
-    let policy = policy.unwrap_or_default();
+    let policy = arguments.policies.first().map_or("student", |policy| policy.name.as_str());
     let connect = match coordinator {
         "127.0.0.1:7411" => String::new(),
         other => format!(" --connect http://{other}"),
@@ -382,8 +416,8 @@ fn sibling(name: &str) -> anyhow::Result<PathBuf> {
         true => Ok(path),
         false => {
             let error = anyhow!(
-                "{} is not there; the release archive has all programs in one folder, and \
-                 `cargo build --workspace --bins` builds them in a checkout",
+                "{} is not there; a release installs all programs into one folder, and `cargo build \
+                 --workspace --bins` builds them in a checkout",
                 path.display()
             );
             Err(error.context(format!("find `{name}` beside this program")))
@@ -422,4 +456,22 @@ async fn relay(
 fn print_prefixed(name: &str, text: &str) {
     let name = name.strip_prefix("policy-").unwrap_or(name);
     terminal::complain(&format!("{name:<NAME_COLUMNS$} | {text}"));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_policy_without_a_name_is_named_by_its_address() {
+        for (text, name, backend) in [
+            ("pi05=ws://gpu1:8000?image=a", "pi05", "ws://gpu1:8000?image=a"),
+            ("ws://gpu1:8000?image=a", "gpu1-8000", "ws://gpu1:8000?image=a"),
+            ("grpc://10.0.0.2:5000/pi/", "10.0.0.2-5000-pi", "grpc://10.0.0.2:5000/pi/"),
+            ("builtin:expert", "expert", "builtin:expert"),
+        ] {
+            let policy: Policy = text.parse().expect("a policy");
+            assert_eq!((policy.name.as_str(), policy.backend.as_str()), (name, backend));
+        }
+    }
 }

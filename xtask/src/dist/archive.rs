@@ -9,7 +9,7 @@ use crate::process::capture;
 use crate::step::step;
 
 use super::release::{VERSION, commit_time};
-use super::{native, stage};
+use super::stage::{self, Staged};
 
 /// File with the digests of all other files of the archive.
 pub(super) const SUMS: &str = "SHA256SUMS";
@@ -18,17 +18,15 @@ pub(super) struct Archive {
     pub(super) file: PathBuf,
     /// Name of the archive's top-level folder.
     pub(super) name: String,
-    /// Tool that reads and writes ELF files.
-    pub(super) elf: native::Elf,
+    pub(super) staged: Staged,
 }
 
 pub(super) fn make(root: &Path, cache: &Path, programs: &Path, output: &Path) -> Result<Archive> {
-    let elf = native::Elf::provide(cache)?;
     println!("Packing");
     let name = format!("rollout-{VERSION}-{}-linux", std::env::consts::ARCH);
     let folder = output.join(&name);
     let _ = std::fs::remove_dir_all(&folder);
-    stage::fill(root, cache, programs, &folder, &elf)?;
+    let staged = stage::fill(root, cache, programs, &folder)?;
     step("checksums", || {
         let files = stage::files(&folder)?;
         let mut sums = Command::new("sha256sum");
@@ -49,7 +47,7 @@ pub(super) fn make(root: &Path, cache: &Path, programs: &Path, output: &Path) ->
             .args([&file, Path::new(&name)]);
         capture(&mut tar).map(|_| "packed")
     })?;
-    Ok(Archive { file, name, elf })
+    Ok(Archive { file, name, staged })
 }
 
 /// Prints a file's path, size and digest, and writes the digest beside it.

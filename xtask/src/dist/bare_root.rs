@@ -1,5 +1,6 @@
-//! Bare root: a root folder with glibc and the archive, but no shell, compiler runtime, OpenGL or
-//! Python. A program that starts in the bare root starts on any machine with a recent enough glibc.
+//! Bare root: a root folder with glibc and the archive, but no shell, OpenGL or Python. A program
+//! that starts in the bare root starts on any machine with a recent enough glibc. Programs of the
+//! development profile also get the compiler's libraries, which those of a release do not need.
 
 use std::os::unix::fs::{PermissionsExt, symlink};
 use std::path::{Path, PathBuf};
@@ -11,7 +12,6 @@ use crate::process::capture;
 
 use super::archive::Archive;
 use super::native;
-use super::release::PROGRAMS;
 
 /// Path of the unpacked archive inside the root.
 pub(super) const PREFIX: &str = "/opt/rollout";
@@ -57,11 +57,10 @@ impl BareRoot {
         let prefix = inside(dir, Path::new(PREFIX));
         std::fs::rename(&unpacked, &prefix)?;
 
-        let linker = archive.elf.interpreter(&prefix.join("bin").join(PROGRAMS[0]))?;
-        for file in native::glibc().iter().chain([&linker]) {
-            let to = inside(dir, file);
+        for file in native::of_machine(&archive.staged)? {
+            let to = inside(dir, &file);
             std::fs::create_dir_all(to.parent().context("name a file")?)?;
-            std::fs::copy(file, &to).with_context(|| format!("copy {}", file.display()))?;
+            std::fs::copy(&file, &to).with_context(|| format!("copy {}", file.display()))?;
         }
         // Puts the programs on the search path.
         std::fs::create_dir_all(dir.join("usr"))?;

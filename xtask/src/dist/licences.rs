@@ -8,12 +8,6 @@ use crate::cargo::cargo;
 use crate::packages::WHEELS;
 use crate::process::capture;
 
-const COMPILER: &str = "of GCC, GPL-3.0-or-later WITH GCC-exception-3.1: by the Free Software \
-    Foundation, copied unaltered from the system on which this archive was built. The GCC Runtime \
-    Library Exception 3.1 lets programs of any licence be distributed with it. The texts: \
-    https://www.gnu.org/licenses/gpl-3.0.txt and \
-    https://www.gnu.org/licenses/gcc-exception-3.1.txt. The source: https://gcc.gnu.org.";
-
 /// Checks that the collector is installed.
 pub(super) fn tool(root: &Path) -> Result<()> {
     capture(cargo(root).args(["about", "--version"]))
@@ -21,12 +15,9 @@ pub(super) fn tool(root: &Path) -> Result<()> {
         .context("find cargo-about (`cargo install --locked cargo-about --features cli`)")
 }
 
-/// Writes the licence texts of crates, wheels and the compiler's libraries.
-pub(super) fn write(root: &Path, cache: &Path, libraries: &[&str], to: &Path) -> Result<()> {
+/// Writes the licence texts of crates and of the wheels that files come from.
+pub(super) fn write(root: &Path, cache: &Path, to: &Path) -> Result<()> {
     let mut text = String::new();
-    for library in libraries {
-        text += &format!("{library}, {COMPILER}\n\n");
-    }
     for wheel in &WHEELS {
         text += &format!("{}\n\n{}\n\n", wheel.requirement, wheel.licences(cache)?);
     }

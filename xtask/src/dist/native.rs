@@ -5,10 +5,13 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-use anyhow::{Context, Result, ensure};
+use anyhow::{Context, Result};
 
 use crate::process::capture;
+use crate::setup::remedy;
 use crate::wheel;
+
+use super::stage::Staged;
 
 /// Libraries that belong to glibc.
 const GLIBC: [&str; 8] = [
@@ -22,16 +25,8 @@ const GLIBC: [&str; 8] = [
     "librt.so.1",
 ];
 
-/// Compiler runtime libraries, which nearly every machine has. The archive's copies come last in
-/// the search path: OpenGL drivers are built for the machine's copies, and a process can load only
-/// one copy of each library.
-const COMPILER_LIBRARIES: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
-
-/// Search path of the programs for libraries: the archive's `lib`, the machine's folders, then
-/// `lib/fallback` for libraries that the machine lacks.
-const LIBRARY_SEARCH_PATH: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
-                        /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
-                        /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
+/// Search path of the programs for the release's own libraries.
+const LIBRARY_SEARCH_PATH: &str = "$ORIGIN/../lib/rollout";
 
 /// Tool that reads and writes ELF files.
 pub(super) struct Elf {
@@ -45,63 +40,31 @@ impl Elf {
         Ok(Self { patchelf })
     }
 
-    fn query(&self, option: &str, file: &Path) -> Result<String> {
-        capture(Command::new(&self.patchelf).arg(option).arg(file))
-    }
-
-    fn needed(&self, file: &Path) -> Result<BTreeSet<String>> {
-        let names = self.query("--print-needed", file)?;
-        Ok(names.lines().map(str::to_owned).collect())
-    }
-
-    /// Returns the dynamic linker of a program.
-    pub(super) fn interpreter(&self, program: &Path) -> Result<PathBuf> {
-        Ok(self.query("--print-interpreter", program)?.into())
-    }
-
-    /// Copies a program without its symbols and with the archive's search path; returns the
-    /// libraries that it needs.
+    /// Copies a program without its symbols and with the release's search path; returns the
+    /// libraries that it needs, except those of glibc.
     pub(super) fn install(&self, program: &Path, to: &Path) -> Result<BTreeSet<String>> {
         std::fs::copy(program, to).with_context(|| format!("copy {}", program.display()))?;
         capture(Command::new("strip").arg("--strip-all").arg(to))
-            .context("strip a program (Debian: `apt-get install binutils`)")?;
+            .with_context(|| format!("strip a program ({})", remedy("cc")))?;
         let mut patchelf = Command::new(&self.patchelf);
         capture(patchelf.args(["--set-rpath", LIBRARY_SEARCH_PATH]).arg(to))?;
-        self.needed(to)
-    }
-
-    /// Copies the needed libraries that belong to the compiler, and returns their names.
-    /// All other needed libraries must belong to glibc or lie in the folder `lib` already.
-    pub(super) fn provide_libraries(
-        &self,
-        needed: &BTreeSet<String>,
-        lib: &Path,
-    ) -> Result<Vec<&'static str>> {
-        let fallback = lib.join("fallback");
-        let mut provided = Vec::new();
-        for name in needed {
-            if let Some(name) = COMPILER_LIBRARIES.into_iter().find(|library| library == name) {
-                std::fs::create_dir_all(&fallback)?;
-                let found = installed(name)?;
-                std::fs::copy(&found, fallback.join(name))
-                    .with_context(|| format!("copy {}", found.display()))?;
-                provided.push(name);
-                continue;
-            }
-            ensure!(
-                GLIBC.contains(&name.as_str()) || lib.join(name).exists(),
-                "pack the programs: they need {name}, which is neither glibc's nor in the \
-                 archive"
-            );
-        }
-        Ok(provided)
+        let names = capture(Command::new(&self.patchelf).arg("--print-needed").arg(to))?;
+        let others = names.lines().filter(|name| !GLIBC.contains(name));
+        Ok(others.map(str::to_owned).collect())
     }
 }
 
-/// Returns the paths of this machine's glibc libraries.
-pub(super) fn glibc() -> Vec<PathBuf> {
-    let found = GLIBC.iter().filter_map(|name| installed(name).ok());
-    found.collect()
+/// Returns the paths of this machine's glibc and of the other libraries that the programs need.
+pub(super) fn of_machine(staged: &Staged) -> Result<Vec<PathBuf>> {
+    let libraries = GLIBC.iter().filter_map(|name| installed(name).ok());
+    let mut found: Vec<PathBuf> = libraries.collect();
+    for library in &staged.libraries {
+        found.push(installed(library)?);
+    }
+    // The programs name their dynamic linker by its standard path.
+    let linkers = ["/lib64/ld-linux-x86-64.so.2", "/lib/ld-linux-aarch64.so.1"];
+    found.extend(linkers.map(PathBuf::from).into_iter().filter(|path| path.exists()));
+    Ok(found)
 }
 
 /// Returns the path of a library on this machine, as the compiler finds it.

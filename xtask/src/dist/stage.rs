@@ -29,18 +29,19 @@ const SOURCES: &str = "share/rollout/sources";
 /// manifests of `deploy`, published outcomes.
 pub(super) const FOR_USERS: &str = "share/rollout";
 
-/// Fills the folder with all parts of the archive.
-pub(super) fn fill(
-    root: &Path,
-    cache: &Path,
-    programs: &Path,
-    folder: &Path,
-    elf: &Elf,
-) -> Result<()> {
-    let libraries = step("programs, libraries", || {
-        let (bin, lib) = (folder.join("bin"), folder.join("lib"));
-        install(cache, programs, (&bin, &lib), elf)
-    })?;
+/// Staged folder, and what its programs need from the machine.
+pub(crate) struct Staged {
+    pub(crate) folder: PathBuf,
+    /// The oldest glibc.
+    pub(crate) glibc: (u32, u32),
+    /// Libraries, other than glibc's.
+    pub(crate) libraries: BTreeSet<String>,
+}
+
+/// Fills the folder with all parts of the release.
+pub(crate) fn fill(root: &Path, cache: &Path, programs: &Path, folder: &Path) -> Result<Staged> {
+    let elf = Elf::provide(cache)?;
+    let staged = step("programs, libraries", || install(cache, programs, folder, &elf))?;
     step("manual pages, completions", || shell_files(folder))?;
     step("files of scenes", || scenes(cache, folder))?;
     let documents_folder = folder.join(DOCUMENTS);
@@ -49,44 +50,34 @@ pub(super) fn fill(
         // The development profile packs without them.
         Err(error) => Ok(format!("skipped: {error:#}")),
         Ok(()) => {
-            licences::write(root, cache, &libraries.0, &documents_folder)?;
+            licences::write(root, cache, &documents_folder)?;
             Ok("written".to_owned())
         }
     })?;
-    Ok(())
+    Ok(staged)
 }
 
-/// Compiler libraries in the archive, and the oldest glibc that it runs on.
-struct NeededLibraries(Vec<&'static str>, (u32, u32));
-
-impl std::fmt::Display for NeededLibraries {
+impl std::fmt::Display for Staged {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self(libraries, (major, minor)) = self;
-        write!(f, "with {}, for glibc {major}.{minor} or newer", libraries.join(", "))
+        let (major, minor) = self.glibc;
+        write!(f, "for glibc {major}.{minor} or newer")?;
+        self.libraries.iter().try_for_each(|name| write!(f, ", {name}"))
     }
 }
 
-fn install(
-    cache: &Path,
-    programs: &Path,
-    to: (&Path, &Path),
-    elf: &Elf,
-) -> Result<NeededLibraries> {
-    let (bin, lib) = to;
-    std::fs::create_dir_all(bin)?;
-    std::fs::create_dir_all(lib)?;
-    let mujoco = cache.join("mujoco-3.3.7").join(MUJOCO);
-    std::fs::copy(&mujoco, lib.join(MUJOCO))
-        .with_context(|| format!("copy {}", mujoco.display()))?;
-    let mut needed = BTreeSet::new();
+fn install(cache: &Path, programs: &Path, folder: &Path, elf: &Elf) -> Result<Staged> {
+    let bin = folder.join("bin");
+    std::fs::create_dir_all(&bin)?;
+    let library = folder.join("lib/rollout").join(MUJOCO);
+    copy(&cache.join("mujoco-3.3.7").join(MUJOCO), &library)?;
+    let mut libraries = BTreeSet::new();
     for name in PROGRAMS {
-        needed.append(&mut elf.install(&programs.join(name), &bin.join(name))?);
+        libraries.append(&mut elf.install(&programs.join(name), &bin.join(name))?);
     }
-    let libraries = elf.provide_libraries(&needed, lib)?;
+    libraries.remove(MUJOCO);
     let mut files: Vec<PathBuf> = PROGRAMS.iter().map(|name| bin.join(name)).collect();
-    files.push(lib.join(MUJOCO));
-    files.extend(libraries.iter().map(|name| lib.join("fallback").join(name)));
-    Ok(NeededLibraries(libraries, oldest_glibc(&files)?))
+    files.push(library);
+    Ok(Staged { folder: folder.to_owned(), glibc: oldest_glibc(&files)?, libraries })
 }
 
 /// Returns a command for one of the archive's programs, with an empty environment.

@@ -26,7 +26,7 @@ const GL_RENDERER: u32 = 0x1F01;
 /// Maximum number of listed devices, more than any machine has.
 const MAX_DEVICES: usize = 32;
 
-const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtask setup --gl` \
+const REMEDY: &str = "install what `cargo xtask setup --gl` says that drawing through OpenGL needs \
      (Debian: `apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0`) or with \
      the NVIDIA driver, or choose another device with --renderer gl:N";
 
