@@ -53,7 +53,6 @@ def test_a_gripper_that_never_opens_is_logged_once(serving, caplog, gripper, war
         client.reset("d")
         client.infer("d")
         client.end("d")
-        client.reset("e")
     warned = [record.getMessage() for record in caplog.records]
     assert len(warned) == warnings
     for text in warned:

@@ -7,7 +7,7 @@ use std::process::Command;
 use std::sync::Arc;
 
 use benchmark::family::corruption::Corruption;
-use benchmark::family::plus::{Assets, Variant, entry, inventory, start_posture};
+use benchmark::family::plus::{Assets, Entry, Variant, entry, inventory, start_posture};
 use benchmark::family::pro::ProSuite;
 use benchmark::family::protocol::{Benchmark, Protocol};
 use benchmark::family::{Case, Subject};
@@ -31,8 +31,13 @@ fn files_of(sources: &Sources, subject: Subject, task: TaskRef) -> TaskFiles {
     TaskFiles::of_own(sources, &row.own.unwrap())
 }
 
+/// The recordings have variants that the benchmark's list lacks.
 fn files_of_variant(sources: &Sources, variant: &Variant) -> TaskFiles {
-    files_of(sources, Subject::Plus(entry(variant).unwrap()), variant.task)
+    let entry = entry(variant).unwrap_or_else(|| {
+        let (variant, id, difficulty, class) = (*variant, 0, None, None);
+        Box::leak(Box::new(Entry { variant, id, difficulty, class }))
+    });
+    files_of(sources, Subject::Plus(entry), variant.task)
 }
 
 /// Returns the recorded numbers of each variant, by kind.

@@ -243,8 +243,8 @@ fn para_checkout(test: &str) -> Option<PathBuf> {
 /// Runs `worker assets fetch --suite` with sources and more arguments.
 fn fetch(sources: &Path, more: &[&str]) -> Output {
     let mut command = Command::new(program("worker"));
-    command.arg("assets").arg("--sources").arg(sources);
-    let fetched = command.args(["fetch", "--suite"]).args(more).output();
+    command.args(["assets", "fetch", "--sources"]).arg(sources);
+    let fetched = command.arg("--suite").args(more).output();
     fetched.expect("the worker runs")
 }
 

@@ -51,7 +51,7 @@ fn a_recorded_rollout_replays_identically_without_its_server() {
     };
     assert!(first[1].as_u64().is_some_and(|steps| steps > 0), "{first}");
 
-    let replay = gateway(&["replay", recorded, "--policy", "expert"]);
+    let replay = gateway(&["--route", &format!("expert=replay:{recorded}")]);
     let (_, again) = roll_out(id, &replay.url);
     assert_eq!(again, Some(first));
 

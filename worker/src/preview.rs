@@ -5,6 +5,7 @@ mod sheet;
 
 use std::path::{Path, PathBuf};
 
+use benchmark::presets::PRESETS;
 use benchmark::{
     ActsOn, Axis, AxisSet, Condition, Level, ManifestRow, Perturbation, Realisation, RolloutId,
     TaskRef, paraphrase, row_of,
@@ -14,12 +15,9 @@ use sim::{CameraRequest, Episode, ObservationRequest, SimError, Simulator};
 
 use crate::picture::Picture;
 
-/// The severities that the protocol has presets for.
-const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
 /// Control steps of the fixed motion that shows the actuation axis.
 const MOTION_STEPS: usize = 40;
 
-const PRESETS: u16 = 10;
 /// Cells per row of a sheet of presets.
 const PRESETS_PER_ROW: usize = 5;
 /// Side of a frame, pixels, as policies usually ask for.
@@ -30,7 +28,7 @@ pub struct Request {
     pub task: TaskRef,
     /// Index of the configuration, which selects preset and initial state.
     pub config: u16,
-    /// Severity of the preset sheets.
+    /// Level of the sheets of presets.
     pub level: Level,
     /// Source of random elements.
     pub realisation: Realisation,
@@ -75,11 +73,11 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, PreviewError> {
     let seen = Axis::every().filter(|axis| axis.def().acts_on != ActsOn::Answers);
     let rows = seen.map(Condition::Single).chain([Condition::Simultaneous]);
-    let mut sheet = Sheet::new(1 + LEVELS.len(), FRAME as usize);
+    let mut sheet = Sheet::new(1 + Level::PERTURBED.len(), FRAME as usize);
     for condition in rows {
         if condition == Condition::Single(Axis::Language) {
             sheet.add_text("language: nominal", &request.task.instruction());
-            for level in LEVELS {
+            for level in Level::PERTURBED {
                 let words = paraphrase(request.task, level, request.config).text;
                 sheet.add_text(&format!("language {level}"), &words);
             }
@@ -88,7 +86,7 @@ fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, Preview
         let nominal = row(request.task, condition, None, request.config);
         sheet
             .add(&format!("{}: nominal", condition.name()), picture(simulator, request, &nominal)?);
-        for level in LEVELS {
+        for level in Level::PERTURBED {
             let row = row(request.task, condition, Some(level), request.config);
             sheet.add(&format!("{} {level}", condition.name()), picture(simulator, request, &row)?);
         }

@@ -60,8 +60,6 @@ pub(super) struct UpArguments {
     /// repeat theirs to keep them.
     #[arg(long = "policy", value_name = "[NAME=]BACKEND", default_values = BUILT_IN)]
     policies: Vec<Policy>,
-    #[command(flatten)]
-    evaluation: Evaluation,
     /// Models of objects and rooms: `libero`, fetched as tasks need it, `primitives`, or the
     /// path of a LIBERO assets folder.
     #[arg(long, value_name = "PACK_OR_PATH", default_value = "libero")]
@@ -81,6 +79,8 @@ pub(super) struct UpArguments {
     #[arg(long, value_name = "ADDR", default_value = "127.0.0.1:7412",
         value_parser = terminal::address)]
     gateway_listen: SocketAddr,
+    #[command(flatten)]
+    evaluation: Evaluation,
 }
 
 /// Policy of the gateway.

@@ -1,9 +1,8 @@
 //! Runs campaign changes to completion even if the client disconnects.
 //!
 //! tonic drops a call's future when its client disconnects. If a change were dropped between the
-//! database's COMMIT and the notifications after it, it would be stored but wake no task: a
-//! campaign whose rollouts are chosen from another campaign's outcomes would get none until another
-//! job settles.
+//! database's COMMIT and the notifications after it, it would be stored but wake no task:
+//! waiting claims would sleep until their own time limit.
 
 use std::future::Future;
 use std::sync::{Mutex, PoisonError};

@@ -90,7 +90,7 @@ async fn latency_is_a_separate_condition() {
     let full = serve.command(&["report", "late", "--full"]);
     let head = text(&full.stdout).lines().find(|line| line.contains("latency"));
     let words: Vec<&str> = head.expect("a column").split_whitespace().collect();
-    assert_eq!(words, ["level", "camera", "robot", "latency", "simultaneous"]);
+    assert_eq!(words, ["level", "nominal", "camera", "robot", "latency", "simultaneous"]);
     let page = http(&serve.url, "GET /campaigns/late").await.text();
     assert!(page.contains("latency"), "{page}");
     let configuration =

@@ -463,6 +463,7 @@ mod tests {
              in the second"
         ));
         assert!(all.contains("language is \"pick up the black bowl"), "{all}");
+        let removed = removed.published();
         assert!(all.contains(&format!("{removed}: only in the first manifest")), "{all}");
     }
 }

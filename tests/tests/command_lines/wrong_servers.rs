@@ -180,7 +180,7 @@ fn clients_of_a_policy_explain_unexpected_servers() {
     let found = sessions(&cases, |url| {
         let mut command = Command::new(program("policy-gateway"));
         command
-            .args(["check", &url.replacen("http", "grpc", 1), "--ca"])
+            .args(["check", &url.replacen("http://", "grpc://", 1), "--ca"])
             .arg(trusted.path("ca.pem"));
         command
     });

@@ -14,8 +14,9 @@ fn slot_program(folder: &Path, script: &str) -> String {
     program.to_str().expect("UTF-8").to_owned()
 }
 
-/// Shell code of a slot that reports that it is and functions that read commands, extract
-/// their attempts and send events. Output to `&0` goes to the parent.
+/// Shell code of a slot: it reports that it is ready, and has functions that read commands, extract
+/// their attempts and send events. A slot's standard input is a socket, so that output to `&0` goes
+/// to the parent.
 const SHELL_SLOT: &str = r#"
 send_line() { printf '%s\n' "$1" >&0; }
 send_line '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'

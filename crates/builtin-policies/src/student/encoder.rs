@@ -136,10 +136,10 @@ impl Encoder {
         let Some(convolution) = &self.fine else {
             return points::locate::<{ points::SIDE }>(scores, located);
         };
-        let mut scores = points::enlarged(scores);
+        let mut enlarged = points::enlarged(scores);
         let channels = BLOCKS[0].outputs;
         let fine = all_rows(fine, channels, fine.len() / channels);
-        convolution.add(fine, &mut scores);
-        points::locate::<{ 2 * points::SIDE }>(&scores, located);
+        convolution.add(fine, &mut enlarged);
+        points::locate::<{ 2 * points::SIDE }>(&enlarged, located);
     }
 }

@@ -6,16 +6,16 @@ pub(crate) const POINTS: usize = 64;
 pub(crate) const SIDE: usize = 16;
 
 /// Writes the expected column and row, from -1 to 1, and the highest score of each channel of
-/// `scores` (planes of `SIDE` x `SIDE`): first all columns, then all rows, then all scores.
-pub(crate) fn locate<const SIDE: usize>(scores: &[f32], found: &mut [f32]) {
+/// `scores` (planes of `WIDTH` x `WIDTH`): first all columns, then all rows, then all scores.
+pub(crate) fn locate<const WIDTH: usize>(scores: &[f32], found: &mut [f32]) {
     let (columns, rest) = found.split_at_mut(POINTS);
     let (rows, peaks) = rest.split_at_mut(POINTS);
-    let planes = scores.chunks_exact(SIDE * SIDE);
+    let planes = scores.chunks_exact(WIDTH * WIDTH);
     for (channel, scores) in planes.enumerate() {
         let peak = scores.iter().copied().fold(f32::NEG_INFINITY, higher);
-        let mut in_column = [0.0; SIDE];
-        let mut in_row = [0.0; SIDE];
-        let (lines, _) = scores.as_chunks::<SIDE>();
+        let mut in_column = [0.0; WIDTH];
+        let mut in_row = [0.0; WIDTH];
+        let (lines, _) = scores.as_chunks::<WIDTH>();
         for (line, in_row) in lines.iter().zip(&mut in_row) {
             for (score, in_column) in line.iter().zip(&mut in_column) {
                 let weight = libm::expf(score - peak);
@@ -49,10 +49,10 @@ fn higher(first: f32, second: f32) -> f32 {
 }
 
 /// Returns the sum of weights times coordinates, which range from -1 to 1.
-fn centre<const SIDE: usize>(weights: &[f32; SIDE]) -> f32 {
+fn centre<const WIDTH: usize>(weights: &[f32; WIDTH]) -> f32 {
     let mut sum = 0.0;
     for (place, weight) in weights.iter().enumerate() {
-        sum += weight * (-1.0 + 2.0 * place as f32 / (SIDE - 1) as f32);
+        sum += weight * (-1.0 + 2.0 * place as f32 / (WIDTH - 1) as f32);
     }
     sum
 }

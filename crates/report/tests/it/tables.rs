@@ -121,7 +121,8 @@ fn a_table_of_results_has_a_column_for_the_execution_model() {
         let line = format!(
             r#"{{"rollout_id": "goal/t0/nominal/i06", "success": true, "steps": 113, "axis": "nominal",
                 "level": "L0", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": null,
-                "policy": "oft", "wall_s": 7.2{more}}}"#
+                "policy": "oft", "wall_s": 7.2, "replicate": 0, "goal_predicates": 1, "goal_at_end": 1,
+                "goal_at_most": 1{more}}}"#
         );
         serde_json::from_str(&line).expect("a row")
     };

@@ -465,7 +465,7 @@ fn start_fetching(before: &str, index: &str, into: &Path) -> Command {
         .arg(format!("{before} exec \"$0\" \"$@\""))
         .arg(program)
         .args(["--ignored", "--exact", "--nocapture"])
-        .arg("fetch::tests::fetch_in_a_child_process")
+        .arg("assets::fetch::tests::fetch_in_a_child_process")
         .env(INDEX_VARIABLE, index)
         .env(FOLDER_VARIABLE, into);
     shell
