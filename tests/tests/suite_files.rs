@@ -187,7 +187,7 @@ async fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
     }
     campaigns.succeed(&["explain", "perturbed", "--create"]);
     campaigns.succeed(&["interactions", "perturbed"]);
-    let shown = campaigns.succeed(&["jobs", "show", "perturbed", "own/t1/camera/L2/c00"]);
+    let shown = campaigns.succeed(&["jobs", "perturbed", "own/t1/camera/L2/c00"]);
     assert!(shown.contains("plate.bddl"), "{shown}");
 }
 

@@ -40,7 +40,7 @@ def problem(path: pathlib.Path) -> str:
 
 def main() -> None:
     classification, bddl = json.loads(pathlib.Path(sys.argv[1]).read_text()), pathlib.Path(sys.argv[2])
-    tasks = (pathlib.Path(__file__).parents[2] / "libero-ctrl/src/tasks.rs").read_text()
+    tasks = (pathlib.Path(__file__).parents[1] / "src/suite.rs").read_text()
     names = re.findall(r'^        "(\w+)",', tasks, re.MULTILINE)
     order = {short: names[10 * index :][:10] for index, short in enumerate(SUITES.values())}
     rows = []

@@ -10,7 +10,7 @@ const MAX_CHARS: usize = 160;
 
 /// SHA-256 over `TASK VARIANT_ID TEXT\n` of all sentences, so that no edit of the data is
 /// overlooked: results before and after the edit would be pooled under one design. After a
-/// deliberate change, print the sentences (`cargo test -p libero-ctrl --test paraphrases --
+/// deliberate change, print the sentences (`cargo test -p benchmark --test paraphrases --
 /// --ignored --nocapture`), read the changed sentences, and write here the digest that the failing
 /// test prints.
 const DIGEST: &str = "9f0453463c67776c6cf0d85e7408cf93ce29aa134419c8b8a8ef7b2577e2a23b";

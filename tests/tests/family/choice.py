@@ -28,7 +28,7 @@ import sys
 from typing import NamedTuple
 
 HERE = pathlib.Path(__file__).resolve().parent
-CRATES = HERE.parents[2] / "crates/benchmark"
+BENCHMARK = HERE.parents[2] / "crates/benchmark"
 SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
 SHORT = {"spatial": SUITES[0], "object": SUITES[1], "goal": SUITES[2], "long": SUITES[3]}
 DIMENSIONS = ("camera", "robot", "language", "noise", "layout", "background")
@@ -78,7 +78,7 @@ def digest(text: str) -> str:
 
 def tasks() -> dict:
     """LIBERO's tasks by suite, in its order."""
-    names = re.findall(r'^        "(\w+)",', (CRATES / "libero-ctrl/src/tasks.rs").read_text(), re.MULTILINE)
+    names = re.findall(r'^        "(\w+)",', (BENCHMARK / "src/suite.rs").read_text(), re.MULTILINE)
     return {suite: names[10 * index :][:10] for index, suite in enumerate(SUITES)}
 
 
@@ -106,7 +106,7 @@ def variants(package: pathlib.Path) -> list:
         return all(texture.is_file() for texture in textures)
 
     known, found = tasks(), []
-    for line in (CRATES / "data/plus.txt").read_text().splitlines():
+    for line in (BENCHMARK / "data/plus.txt").read_text().splitlines():
         short, index, kind, *items = line.split()
         if kind not in SUFFIXES:
             continue
