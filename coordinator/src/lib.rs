@@ -1,7 +1,8 @@
 //! Server of the rollout queue: gRPC services for workers and operators (`grpc`), pages for
-//! browsers (`page`), reports, exports and archives. Leasing, storage and scheduling decisions are
-//! in [`queue`], the command line is in the binary. This crate depends on no simulator and no
-//! policy.
+//! browsers (`page`), reports, exports and archives; and the client of these services (`client`).
+//! `storage` keeps films outside the data folder, and `mirror` moves them there. Leasing, storage
+//! and scheduling decisions are in [`queue`], the command line is in the binary. This crate depends
+//! on no simulator and no policy.
 
 #![forbid(unsafe_code)]
 

@@ -36,7 +36,8 @@ class Clock:
         self.suite, self.secs, self.meter = suite, secs, meter
 
     def open(self, fixed_secs: float) -> None:
-        """Takes the seconds before the first step, for one rollout."""
+        """Begins the window. `fixed_secs` is a rollout's share of set-up and reset, which cost.py adds
+        to the time of its steps."""
         self.meter.counts |= {"suite": self.suite, "fixed_secs": fixed_secs}
         self.meter.add(steps=0)
         self.ends = time.monotonic() + self.secs

@@ -60,7 +60,7 @@ impl Pace {
     /// Returns the time at which the server will have been silent for `limit` since a call was sent
     /// at `sent`, unless the server answers a query before.
     pub fn silent_at(&self, sent: Instant, limit: Duration) -> Instant {
-        Some(sent).max(self.last_answer).unwrap_or(sent) + limit
+        self.last_answer.map_or(sent, |last| last.max(sent)) + limit
     }
 
     /// Returns the average time per answered query while the server is busy, with batches counted
@@ -95,7 +95,8 @@ impl Drop for CallInFlight<'_> {
 pub struct NoAnswer;
 
 impl Watch {
-    /// Waits for the answer to a call without queries.
+    /// Waits for the answer to a call, until the server has been silent for `limit` since the call
+    /// was sent. Records nothing; calls with queries use [`Self::queries`].
     pub async fn answer<T>(
         &self,
         limit: Duration,

@@ -12,7 +12,7 @@ use super::command::{CommandError, Connection, print_line};
 use super::files::AtomicFile;
 
 /// Copies the current database while the coordinator runs. To restore the copy, put it as
-/// `coordinator.sqlite` into an empty folder and start `coordinator serve --data` there. Videos,
+/// `coordinator.sqlite` into an empty folder and start `coordinator serve --data` there. Films,
 /// which are files below the data folder's `artifacts`, are not included.
 #[derive(Args, Debug)]
 pub(super) struct BackupArguments {

@@ -64,7 +64,8 @@ impl Connection {
         self.client_retrying_for(Duration::from_secs(self.retry_secs))
     }
 
-    /// Reads the results of campaigns, and, where there is a `/`, which no name has, of files.
+    /// Reads the results of each source: a file if it contains a `/`, which no campaign's name does,
+    /// otherwise a campaign.
     pub(super) async fn subjects(&self, sources: &[String]) -> Result<Vec<Subject>, CommandError> {
         let mut subjects = Vec::new();
         for source in sources {

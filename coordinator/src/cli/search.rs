@@ -24,7 +24,7 @@ use super::watch::LOG_PERIOD;
 
 /// Interval between two requests of a campaign's status.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
-/// Pause after the next rollouts were computed, as a multiple of the duration.
+/// Pause after computing the next rollouts, as a multiple of the time that this took.
 const PAUSE_PER_COST: u32 = 4;
 /// Rows after which a request to add some ends, at the next configuration: the rollouts of a
 /// configuration are added together, since its next ones follow from all of them.

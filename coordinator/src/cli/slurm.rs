@@ -18,11 +18,12 @@ use checked::{absolute_path, one_line, path_text, sbatch_options, slurm_word};
 use scripts::{Script, submit, write};
 use template::{Values, fill, for_shell};
 
-/// Asset packs selected by name; any other value of `--assets` is a folder.
+// Names of asset packs, as in `scene`, on which the coordinator does not depend; any other value of
+// `--assets` is a folder.
 const PRIMITIVES: &str = "primitives";
 const LIBERO: &str = "libero";
 
-/// File names and templates of the scripts.
+// File name and template of each script.
 const COORDINATOR: (&str, &str) =
     ("coordinator.sh", include_str!("../../../deploy/slurm/coordinator.sh"));
 const GATEWAY: (&str, &str) =

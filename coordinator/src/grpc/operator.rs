@@ -35,8 +35,11 @@ const REPORT_PART_BYTES: usize = 1 << 20;
 #[derive(Debug)]
 pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,
+    /// Changes in progress; they are completed even if the client disconnects.
     pub(super) changes: Detached,
     pub(super) storage: Option<Arc<Storage>>,
+    /// Limits how many large answers are made at a time. An export takes no turn: it keeps nothing
+    /// between its pages.
     pub(super) turns: Turns,
     pub(super) min_free_bytes: u64,
 }
@@ -82,6 +85,9 @@ impl OperatorService for OperatorApi {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
         let queue = self.queue.clone();
+        if !request.spec.is_empty() && !request.rows.is_empty() {
+            return Err(invalid("append to a campaign: give rows or a specification, not both"));
+        }
         let rows = read::rows(request.rows)?;
         let extended = match request.spec.as_str() {
             "" => None,

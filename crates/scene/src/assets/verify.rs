@@ -1,3 +1,5 @@
+//! Comparison of a pack's files with the table of their sizes and digests.
+
 use std::collections::HashMap;
 use std::fmt;
 use std::fs::{self, File, Metadata};
@@ -37,7 +39,8 @@ impl fmt::Display for Difference {
     }
 }
 
-/// A file that equals the table's is hashed again only after its metadata changed.
+/// Folder of a pack, whose files are compared with a table on request. A file that was found equal
+/// is hashed again only after its metadata changed.
 #[derive(Debug)]
 pub struct VerifiedFolder {
     table: &'static Table,
