@@ -171,7 +171,7 @@ impl SceneFolder {
     fn store(&self, name: &str, model: &Model, prepared: &Prepared) -> Result<(), SceneFileError> {
         let image = model.image().ok_or(SceneFileError::Layout)?;
         let _lock = self.lock("store.lock")?;
-        let started = SystemTime::now();
+        let started = now();
         let mut names = String::new();
         for (texture, [largest, smaller]) in model.textures().zip(prepared.textures()) {
             let digest = digest_of_texture(&texture, largest);
@@ -290,7 +290,7 @@ impl SceneFolder {
             return Ok(None);
         }
         // In a folder of another user, the time cannot be set.
-        let _ = file.set_modified(SystemTime::now());
+        let _ = file.set_modified(now());
         container::map(&file, name, metadata.len()).map_err(failed)
     }
 
@@ -306,7 +306,7 @@ impl SceneFolder {
                 tempfile::Builder::new().prefix(TEMPORARY).tempfile_in(&self.dir)?;
             container::write(temporary.as_file_mut(), name, sections)?;
             // By the same clock as in `map`; the kernel's time of a write may be earlier by a tick.
-            temporary.as_file().set_modified(SystemTime::now())?;
+            temporary.as_file().set_modified(now())?;
             temporary.as_file().sync_data()?;
             temporary.as_file().set_permissions(Permissions::from_mode(READ_ONLY))?;
             temporary.persist(path).map_err(|error| error.error).map(drop)
@@ -345,4 +345,10 @@ fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileErro
 /// Returns the flag that refuses symbolic links, which could lead to a file that changes.
 fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
+}
+
+/// Returns the time of a file's use, which is compared with those of other files.
+#[allow(clippy::disallowed_methods, reason = "only files' times are compared with it")]
+fn now() -> SystemTime {
+    SystemTime::now()
 }
