@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use tokio::sync::Semaphore;
+use tokio::task::JoinSet;
 use tokio::time::Instant;
 
 /// Most concurrent computations of `newest`, with the reads that prepare them, over all keys.
@@ -22,6 +23,8 @@ pub(super) struct SingleFlightCache<V> {
     entries: Mutex<HashMap<String, Arc<Entry<V>>>>,
     capacity: usize,
     computations: Arc<Semaphore>,
+    /// Computations of `newest` in progress.
+    tasks: Mutex<JoinSet<()>>,
 }
 
 #[derive(Debug)]
@@ -57,6 +60,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
             entries: Mutex::default(),
             capacity,
             computations: Arc::new(Semaphore::new(COMPUTATIONS)),
+            tasks: Mutex::default(),
         }
     }
 
@@ -94,7 +98,10 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         }
         if let Ok(computing) = entry.computing.clone().try_lock_owned() {
             let (entry, computations) = (entry.clone(), self.computations.clone());
-            tokio::spawn(async move {
+            let mut tasks = self.tasks.lock().unwrap_or_else(PoisonError::into_inner);
+            // Reaps finished tasks; the log has the panic of one that did not finish.
+            while tasks.try_join_next().is_some() {}
+            tasks.spawn(async move {
                 let _computing = computing;
                 let started = Instant::now();
                 // The semaphore is never closed.
