@@ -7,7 +7,7 @@ use sqlx::SqliteConnection;
 use super::{Doing, StoreError};
 use crate::ids::CampaignId;
 
-/// A task, such as "libero_goal/3", with its numbers of policy steps and settling steps.
+/// A task, by its key, with its numbers of policy steps and settling steps.
 pub(crate) type Budget = (String, i64, i64);
 
 /// Returns the step budgets of a campaign's rollouts.
