@@ -36,8 +36,10 @@ class Clock:
         self.suite, self.secs, self.meter = suite, secs, meter
 
     def open(self, fixed_secs: float) -> None:
-        """Begins the window. `fixed_secs` is a rollout's share of set-up and reset, which cost.py adds
-        to the time of its steps."""
+        """Begins the window. `fixed_secs` is a rollout's share of set-up and reset.
+
+        cost.py adds it to the time of the rollout's steps.
+        """
         self.meter.counts |= {"suite": self.suite, "fixed_secs": fixed_secs}
         self.meter.add(steps=0)
         self.ends = time.monotonic() + self.secs
