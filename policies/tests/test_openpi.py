@@ -88,8 +88,10 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, recei
     assert check.returncode == 0, check.stdout + check.stderr
     assert "skip  the same seed gives the same actions: the policy's random numbers" in check.stdout
     assert "pass  a retry gets the same actions" in check.stdout
-    prompts = {json.loads(line)["prompt"] for line in received.read_text().splitlines()}
-    assert prompts == {"open the middle drawer of the cabinet"}
+    prompts = [json.loads(line)["prompt"] for line in received.read_text().splitlines()]
+    # The search for mistakes also sends sentences of other tasks.
+    assert prompts[0] == "open the middle drawer of the cabinet"
+    assert "put the cream cheese in the bowl" in prompts
 
 
 def test_the_check_finds_the_keys_that_a_server_misses_and_names_its_address(program, received):
