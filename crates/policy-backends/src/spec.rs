@@ -43,7 +43,8 @@ impl Kind {
     }
 }
 
-/// What a specification of one kind contains. Its text is that of the specification.
+/// Parsed address and options of a back-end of one kind. `Display` writes the text that `FromStr`
+/// read.
 pub trait Specified: fmt::Debug + fmt::Display + Send + Sync {
     /// Creates the back-end, without connecting.
     ///
