@@ -4,10 +4,8 @@
 //! A full batch is sent as soon as the server can take one more batch; a partial batch is sent when
 //! the server is idle and the oldest query has waited [`MAX_WAIT`].
 
-use std::{
-    collections::VecDeque,
-    time::{Duration, Instant},
-};
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
 pub mod batcher;
 

@@ -19,18 +19,16 @@
 //! token_file = "gpu4-token"
 //! ```
 
-use std::{
-    collections::BTreeMap,
-    fmt,
-    path::{Path, PathBuf},
-    str::FromStr,
-    time::Duration,
-};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
 
 use benchmark::plain_words;
-use policy_backends::{
-    BackendSpec, DEFAULT_ANSWER_WITHIN, recorder::RecordInto, spec::BackendSpecError,
-};
+use policy_backends::recorder::RecordInto;
+use policy_backends::spec::BackendSpecError;
+use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN};
 use serde::Deserialize;
 use thiserror::Error;
 use transport::{Access, AccessError, Role};

@@ -10,7 +10,8 @@
 use std::time::{Duration, Instant};
 
 use benchmark::attempt::Waits;
-use policy_backends::{Cause, shorten::shorten};
+use policy_backends::Cause;
+use policy_backends::shorten::shorten;
 
 /// Waits between probes of a server that could not be reached. A recovered server is in use again
 /// within the longest wait.

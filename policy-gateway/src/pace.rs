@@ -7,11 +7,9 @@
 //! the longest allowed time since the call was sent. Time in the gateway's own queue does not
 //! count.
 
-use std::{
-    collections::VecDeque,
-    sync::{Mutex, PoisonError},
-    time::{Duration, Instant},
-};
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 /// Number of recent answers in the average.
 const SAMPLES: usize = 32;

@@ -3,30 +3,20 @@
 //! replica fails moves to another replica if the policy allows it. The memory of waiting queries is
 //! limited.
 
-use std::{
-    sync::{
-        Arc, Mutex, PoisonError, RwLock,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
-use policy_backends::{
-    BackendError, UnusableBackend,
-    sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
-};
+use policy_backends::sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable};
+use policy_backends::{BackendError, UnusableBackend};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 
-use self::{
-    checkpoints::Checkpoints,
-    pool::{Opening, Pool},
-    replica::Replica,
-};
-use crate::{
-    config::{RouteName, RouteSpec},
-    health::Call,
-    observation_budget::ObservationBudget,
-};
+use self::checkpoints::Checkpoints;
+use self::pool::{Opening, Pool};
+use self::replica::Replica;
+use crate::config::{RouteName, RouteSpec};
+use crate::health::Call;
+use crate::observation_budget::ObservationBudget;
 
 mod checkpoints;
 mod error;

@@ -1,6 +1,7 @@
 //! The trait of a back-end, and its errors.
 
-use std::{fmt, time::Duration};
+use std::fmt;
+use std::time::Duration;
 
 use proto::checks::{ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};

@@ -2,21 +2,25 @@
 //! Opens the connection at the first call and reopens a broken connection. The gateway's replicas
 //! implement deadlines, back-off and checks of the answers.
 
-use std::{fmt, str::FromStr, sync::Arc, time::Duration};
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
 
+use proto::policy::policy_client::PolicyClient;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferRequest, InferResponse,
-    InferResult, ResetRequest, infer_result, policy_client::PolicyClient,
+    InferResult, ResetRequest, infer_result,
 };
 use thiserror::Error;
-use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
+use tonic::codegen::http::Uri;
+use tonic::transport::Endpoint;
+use tonic::{Code, Response, Status};
 use transport::{Access, AccessError, Connection, Fault, Peer, ServerKind};
 
-use crate::{
-    backend::{Backend, BackendError, SETTINGS},
-    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
-    spec::{Kind, OwnError, Specified},
-};
+use crate::backend::{Backend, BackendError, SETTINGS};
+use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use crate::spec::{Kind, OwnError, Specified};
 
 pub(crate) const KIND: Kind =
     Kind::new::<GrpcAddress>(&["grpc", "https"], "grpc://HOST:PORT[/POLICY] (https:// over TLS)");

@@ -7,10 +7,8 @@
 //! from a single stream that cannot be seeded. The description declares all three, and since when
 //! no connection was lost.
 
-use std::{
-    fmt,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use benchmark::attempt::UNNAMED_CHECKPOINT;
 use proto::checks::CAMERAS;
@@ -22,13 +20,11 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 use transport::{Access, ServerKind};
 
 pub use self::address::{OPTIONS, OpenpiAddress, OpenpiAddressError, State};
-use crate::{
-    backend::{Backend, BackendError},
-    observations::{self, FRAME_SIDE},
-    sessions::{MAX_SESSIONS, SessionTable},
-    spec::{Answers, BackendSpec, Kind, OwnError, Specified},
-    websocket::{Connection, Received, Server},
-};
+use crate::backend::{Backend, BackendError};
+use crate::observations::{self, FRAME_SIDE};
+use crate::sessions::{MAX_SESSIONS, SessionTable};
+use crate::spec::{Answers, BackendSpec, Kind, OwnError, Specified};
+use crate::websocket::{Connection, Received, Server};
 
 mod address;
 pub mod codec;

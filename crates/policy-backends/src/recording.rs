@@ -12,11 +12,9 @@
 //! A file in progress has the suffix `.partial`, and is renamed when its session ends, so that a
 //! file with the final name is complete.
 
-use std::{
-    fs::File,
-    io::{self, BufReader, BufWriter, Read, Write},
-    path::{Path, PathBuf},
-};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
 
 use prost::Message;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};

@@ -1,12 +1,16 @@
 //! Kinds of back-ends, and the specification of one back-end.
 
-use std::{error::Error, fmt, str::FromStr, sync::Arc};
+use std::error::Error;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
 
 use proto::policy::InferResponse;
 use thiserror::Error;
 use transport::{Access, AccessError};
 
-use crate::{backend::Backend, builtin, grpc, openpi, replay, vla_eval};
+use crate::backend::Backend;
+use crate::{builtin, grpc, openpi, replay, vla_eval};
 
 /// Every kind of back-end. A further kind is a module with a `KIND`, and an entry here: routes, all
 /// commands, their help and errors, and the fuzzing of answers use this table.

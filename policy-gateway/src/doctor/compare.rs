@@ -5,15 +5,13 @@
 use policy_backends::description::{self, DescriptionDifference};
 use serde::Serialize;
 
-use crate::doctor::{
-    answers::Answers,
-    difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size},
-    fit::{Limit, fit},
-    probe::{ExaminationError, Probe},
-    randomness::{REPEATABLE, Randomness, SEEDS_PER_MEAN},
-    search::{Explanation, SearchResult, SearchSetup},
-    server_pair::{SEED, ServerPair, Side},
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size};
+use crate::doctor::fit::{Limit, fit};
+use crate::doctor::probe::{ExaminationError, Probe};
+use crate::doctor::randomness::{REPEATABLE, Randomness, SEEDS_PER_MEAN};
+use crate::doctor::search::{Explanation, SearchResult, SearchSetup};
+use crate::doctor::server_pair::{SEED, ServerPair, Side};
 
 /// Number of standard errors within which two means count as equal.
 const STANDARD_ERRORS: f64 = 2.5;

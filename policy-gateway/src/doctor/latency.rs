@@ -7,11 +7,9 @@ use std::time::Duration;
 use benchmark::{CONTROL_HZ, Delays, LatencyFileError};
 use serde::Serialize;
 
-use crate::doctor::{
-    check::CONCURRENCY,
-    probe::{ExaminationError, Probe, Target},
-    verdict::percentile,
-};
+use crate::doctor::check::CONCURRENCY;
+use crate::doctor::probe::{ExaminationError, Probe, Target};
+use crate::doctor::verdict::percentile;
 
 const ROUNDS: u32 = 20;
 

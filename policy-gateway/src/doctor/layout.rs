@@ -5,7 +5,8 @@ use std::fmt;
 
 use proto::policy::StateField;
 
-use crate::doctor::{pose, synthetic::Situation};
+use crate::doctor::pose;
+use crate::doctor::synthetic::Situation;
 
 /// Component of a state vector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

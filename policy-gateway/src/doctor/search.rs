@@ -1,13 +1,11 @@
 //! Searches for the usual differences between two pipelines that explain two servers' different
 //! answers, and prefers the explanation with the fewest assumptions.
 
-use crate::doctor::{
-    answers::Answers,
-    fit::{Fit, Limit, fit},
-    probe::ExaminationError,
-    server_pair::{ServerPair, Side},
-    variant::{Topic, Variant},
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::fit::{Fit, Limit, fit};
+use crate::doctor::probe::ExaminationError;
+use crate::doctor::server_pair::{ServerPair, Side};
+use crate::doctor::variant::{Topic, Variant};
 
 /// Largest number of changes to observations in one explanation.
 const MAX_CHANGES: usize = 3;

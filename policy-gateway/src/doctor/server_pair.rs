@@ -2,11 +2,9 @@
 
 use proto::policy::DescribeResponse;
 
-use crate::doctor::{
-    answers::Answers,
-    probe::{ExaminationError, Probe},
-    variant::Variant,
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::probe::{ExaminationError, Probe};
+use crate::doctor::variant::Variant;
 
 /// First seed, which is no program's default.
 pub(crate) const SEED: u64 = 4_711;

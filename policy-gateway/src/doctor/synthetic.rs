@@ -5,9 +5,10 @@ use std::f64::consts::PI;
 
 use benchmark::{Suite, TaskRef};
 use policy_backends::openpi::frame::resize;
+use proto::policy::entity::Kind;
 use proto::policy::{
     CameraRequest, DescribeResponse, Entity, GoalPredicate, Image, Observation, PrivilegedState,
-    StateField, StateReading, entity::Kind,
+    StateField, StateReading,
 };
 
 use crate::doctor::pose::{self, Quaternion};

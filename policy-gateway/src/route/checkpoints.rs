@@ -1,10 +1,12 @@
 //! Pools of a route: one for all suites, or one per suite.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use policy_backends::{BackendSpec, UnusableBackend};
 
-use super::{pool::Pool, replica::Replica};
+use super::pool::Pool;
+use super::replica::Replica;
 use crate::config::RouteSpec;
 
 /// Pools by suite; that of the empty name serves all suites.

@@ -2,13 +2,16 @@
 
 use std::time::Duration;
 
-use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, shorten::shorten};
+use policy_backends::BackendError;
+use policy_backends::sessions::MAX_SESSION_BYTES;
+use policy_backends::shorten::shorten;
 use proto::checks::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{chain, is_outage_code};
 
-use crate::{config::RouteName, observation_budget::MAX_OBSERVATION_BYTES};
+use crate::config::RouteName;
+use crate::observation_budget::MAX_OBSERVATION_BYTES;
 
 /// Reason why a route did not answer.
 #[derive(Debug, Error)]

@@ -5,29 +5,22 @@
 //! wait, and the query of a caller that gives up is removed. A sent query fails when the server has
 //! answered no query for the longest allowed time.
 
-use std::{
-    fmt,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::fmt;
+use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use policy_backends::{
-    Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, recorder::Recorder,
-    shorten::shorten,
-};
+use policy_backends::recorder::Recorder;
+use policy_backends::shorten::shorten;
+use policy_backends::{Backend, BackendError, BackendSpec, Cause, UnusableBackend, description};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
 use transport::Access;
 
-use crate::{
-    batch::batcher::Batcher,
-    config::{AccessFiles, Batching, RouteSpec},
-    health::{Answered, Call, Health},
-    pace::{NoAnswer, Watch},
-};
+use crate::batch::batcher::Batcher;
+use crate::config::{AccessFiles, Batching, RouteSpec};
+use crate::health::{Answered, Call, Health};
+use crate::pace::{NoAnswer, Watch};
 
 /// Concurrent single queries per server, which computes them one by one. Further queries wait in
 /// the gateway, so that the server holds no copies of their observations.

@@ -1,18 +1,14 @@
 //! A policy with a pipeline like that of real policies, in which tests plant mistakes. Its actions
 //! are a smooth function of pixels, weighted by position, of state, instruction and noise.
 
-use std::{
-    collections::HashMap,
-    sync::{
-        Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
-};
+use std::collections::HashMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
+use proto::policy::policy_server::Policy;
 use proto::policy::{
     CameraRequest, DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferBatchResponse,
     InferRequest, InferResponse, Language, ResetRequest, ResetResponse, StateField,
-    policy_server::Policy,
 };
 use tonic::{Request, Response, Status};
 

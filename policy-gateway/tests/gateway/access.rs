@@ -2,21 +2,17 @@
 //! credentials are reported with a remedy, and no credential is logged. The server is the real
 //! program.
 
-use std::{
-    io::{BufRead, BufReader, Read},
-    path::Path,
-    process::{Child, Command, Stdio},
-};
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 
 use policy_gateway::config;
 use tonic::{Code, Status};
 
 use crate::assertions::assert_refused;
 use crate::authority::{Authority, write_private};
-use crate::{
-    program::{listening, program},
-    support::{infer, reloadable, reset},
-};
+use crate::program::{listening, program};
+use crate::support::{infer, reloadable, reset};
 
 const TOKEN: &str = "worker-secret-0123456789";
 const WRONG: &str = "wrong-secret-0123456789";

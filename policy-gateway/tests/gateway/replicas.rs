@@ -1,16 +1,14 @@
 //! Several servers behind one name: selection of the server for each query.
 
-use std::{
-    collections::BTreeSet,
-    sync::{
-        Arc,
-        atomic::{AtomicU32, Ordering},
-    },
-};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use policy_gateway::config::{Batching, Config, RouteSpec};
-use proto::policy::{DescribeRequest, DescribeResponse, ResetRequest, policy_client::PolicyClient};
-use tonic::{Code, transport::Channel};
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::{DescribeRequest, DescribeResponse, ResetRequest};
+use tonic::Code;
+use tonic::transport::Channel;
 
 use crate::assertions::assert_refused;
 use crate::support::{

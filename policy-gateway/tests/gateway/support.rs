@@ -2,15 +2,14 @@
 
 use std::net::SocketAddr;
 
-use policy_gateway::{
-    config::{Config, RouteSpec},
-    service::Gateway,
-};
-use proto::policy::{
-    DescribeRequest, InferRequest, Observation, ResetRequest, policy_client::PolicyClient,
-    policy_server::Policy,
-};
-use tokio::{net::TcpListener, sync::oneshot, task::JoinSet};
+use policy_gateway::config::{Config, RouteSpec};
+use policy_gateway::service::Gateway;
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::policy_server::Policy;
+use proto::policy::{DescribeRequest, InferRequest, Observation, ResetRequest};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
 use tonic::transport::Channel;
 
 pub(crate) use crate::scripted::{Query, Running, Scripted, chunk, client, description, serve};

@@ -7,11 +7,10 @@ use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
 use sha2::{Digest, Sha256};
 
-use super::{address::VlaEvalAddress, message::VERSION};
-use crate::{
-    numpy::{as_text, encode, lookup},
-    observations::camera,
-};
+use super::address::VlaEvalAddress;
+use super::message::VERSION;
+use crate::numpy::{as_text, encode, lookup};
+use crate::observations::camera;
 
 /// Names of the cameras in the simulator and in vla-eval's observations.
 pub(super) const CAMERAS: [(&str, &str); 2] =

@@ -222,10 +222,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{
-        numpy::{Keys, array},
-        vla_eval::image::{self, ImageFormat},
-    };
+    use crate::numpy::{Keys, array};
+    use crate::vla_eval::image::{self, ImageFormat};
 
     // Output of `pack_message` of vla-eval 0.8.0, with raw images, for the messages in the tests
     // below.
