@@ -52,7 +52,6 @@ pub(crate) struct Arguments {
 }
 
 impl Arguments {
-    /// Returns the clap command, with the environment variables of `serve` in its help.
     fn with_environment() -> clap::Command {
         Self::command().mut_subcommand("serve", terminal::with_variables)
     }

@@ -58,7 +58,6 @@ pub enum ClientError {
 }
 
 impl Client {
-    /// Creates a client of the coordinator at `url` that retries calls for `retry_for`.
     pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
         let endpoint = parse_endpoint(url)?;
         let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
@@ -89,7 +88,6 @@ impl Client {
         Ok(self.campaign(name).await?.0)
     }
 
-    /// Returns the current results of a campaign for a report.
     pub async fn report(&self, name: &str) -> Result<Subject, ClientError> {
         let request = wire::ReportRequest { campaign: name.to_owned() };
         let mut parts = self.call(request, Service::report).await?;

@@ -29,7 +29,6 @@ use worker::WorkerApi;
 /// other messages far less.
 const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
 
-/// Returns the router with the worker service and the operator service of a queue.
 pub(crate) fn services(
     queue: &Arc<Queue>,
     gauges: &Arc<Gauges>,

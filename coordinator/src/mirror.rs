@@ -43,7 +43,6 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
     }
 }
 
-/// Moves the films that are in the data folder now.
 async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let describe = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
     let films = queue.local_films().await.map_err(|error| describe(&error))?;

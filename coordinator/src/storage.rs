@@ -243,7 +243,6 @@ impl Storage {
         }
     }
 
-    /// Returns the full key of a path within the storage.
     fn key(&self, path: &str) -> Key {
         let parts = path.split('/').filter(|part| !part.is_empty());
         parts.fold(self.prefix.clone(), |key, part| key.join(part))

@@ -209,7 +209,6 @@ impl Batching {
 }
 
 impl RouteSpec {
-    /// Creates a route of one checkpoint with default settings.
     pub fn new(name: RouteName, replicas: Vec<BackendSpec>) -> Self {
         Self {
             name,
@@ -282,7 +281,6 @@ struct Table {
     token_file: Option<PathBuf>,
 }
 
-/// Reads a configuration from a file.
 pub fn read(path: &Path) -> Result<Config, ConfigError> {
     let text = std::fs::read_to_string(path)
         .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;

@@ -113,7 +113,6 @@ impl Route {
         Ok(())
     }
 
-    /// Returns the description of the policy for `suite`.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];

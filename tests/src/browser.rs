@@ -144,7 +144,6 @@ impl Browser {
         }
     }
 
-    /// Presses a key in the element that has the focus.
     pub fn press(&mut self, key: &str) {
         for kind in ["keyDown", "keyUp"] {
             let event = json!({ "type": kind, "key": key, "code": key });
@@ -170,7 +169,6 @@ impl Browser {
         }
     }
 
-    /// Changes the screen that the page is shown on.
     pub fn set_screen(&mut self, screen: Screen) {
         let size = json!({
             "width": screen.width, "height": screen.height, "deviceScaleFactor": 1,

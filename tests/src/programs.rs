@@ -140,13 +140,11 @@ impl Campaigns {
         let _ = self.coordinator.child.wait();
     }
 
-    /// Restarts a killed coordinator on its data and address.
     pub fn restart_coordinator(&mut self, data: &Path) {
         let address = self.coordinator.url.trim_start_matches("http://").to_owned();
         self.coordinator = serve(data, &address);
     }
 
-    /// Starts a worker with simulated slots and additional environment variables.
     pub fn simulated_worker(&self, slots: u32, environment: &[(&str, &str)]) -> Process {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", &self.coordinator.url, "--assets", "primitives"]);
@@ -155,7 +153,6 @@ impl Campaigns {
         Process::start(command.envs(environment.iter().copied()))
     }
 
-    /// Calls `coordinator ARGUMENTS --connect …`.
     pub fn call(&self, arguments: &[&str]) -> Output {
         Command::new(program("coordinator"))
             .args(arguments)

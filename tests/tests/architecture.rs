@@ -6,7 +6,6 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// Output of a cargo command on the workspace.
 fn cargo(arguments: &[&str]) -> Vec<u8> {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
         .args(arguments)
@@ -18,7 +17,6 @@ fn cargo(arguments: &[&str]) -> Vec<u8> {
     output.stdout
 }
 
-/// Output of `cargo metadata` for the workspace.
 fn metadata(arguments: &[&str]) -> Value {
     let metadata = [&["metadata", "--format-version", "1"], arguments].concat();
     serde_json::from_slice(&cargo(&metadata)).unwrap()

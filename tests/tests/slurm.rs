@@ -260,7 +260,6 @@ impl ClusterCampaign {
         status.contains("finished")
     }
 
-    /// Returns the number of the campaign's rollouts in a state.
     fn count(&self, state: &str) -> u64 {
         let status = self.json(&["campaign", "status", CAMPAIGN]);
         let count = &status["campaigns"][0]["rollouts"][state];

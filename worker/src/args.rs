@@ -52,7 +52,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Returns the command-line parser of a program of this version.
     pub fn parser(version: &'static str) -> clap::Command {
         Self::command().version(version)
     }

@@ -28,7 +28,6 @@ const LOGGED_PERCENT: u64 = 25;
 /// Number of files that a message names; further ones are only counted.
 const MAX_NAMED: usize = 20;
 
-/// Runs `worker assets`.
 pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);

@@ -110,7 +110,6 @@ impl Assignment {
         }
     }
 
-    /// Returns the names and the deadline of the session with the policy.
     pub fn policy_session(&self) -> PolicySession<'_> {
         PolicySession {
             policy: &self.policy,

@@ -30,7 +30,6 @@ impl Parent {
         Ok(Self(stdin.into()))
     }
 
-    /// Sends a message to the parent.
     pub fn send<T: Serialize>(&self, value: &T) -> io::Result<()> {
         let mut line = serde_json::to_vec(value)?;
         line.push(b'\n');

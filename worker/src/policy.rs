@@ -240,7 +240,6 @@ fn with_settings(endpoint: Endpoint) -> Endpoint {
         .initial_connection_window_size(WINDOW_BYTES)
 }
 
-/// Checks and parses a policy's description.
 fn read_description(about: DescribeResponse) -> Result<Description, DescriptionFault> {
     proto::checks::description(&about)?;
     let fields = about.state.iter();

@@ -103,7 +103,6 @@ pub struct Simulated {
     pub actions: Vec<Action>,
 }
 
-/// Runs one rollout to its result.
 pub fn run(
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,

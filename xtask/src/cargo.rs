@@ -52,7 +52,6 @@ pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     build(root, &[&["--no-default-features", "--bins"], &packages[..]].concat())
 }
 
-/// Builds one program and returns its path.
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     let programs = build(root, &[&WORKSPACE[..], &["--quiet", "--bin", name]].concat())?;
     Ok(programs.join(name))

@@ -43,7 +43,6 @@ pub(crate) struct Original {
 }
 
 impl Original {
-    /// Installs the missing parts.
     pub(crate) fn provide(cache: &Path, oracle: &Path, assets: &Path) -> Result<Self> {
         let tools = oracle.join("tools");
         ensure!(
@@ -74,7 +73,6 @@ impl Original {
         })
     }
 
-    /// Returns the folder of the installed Python packages.
     pub(crate) fn packages(&self) -> &Path {
         &self.packages
     }

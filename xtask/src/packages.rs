@@ -108,7 +108,6 @@ impl Wheel {
         Ok(if fetched { "fetched, checked, unpacked" } else { "checked, unpacked" })
     }
 
-    /// Returns the texts of the wheel's licences.
     pub(crate) fn licences(&self, cache: &Path) -> Result<String> {
         let wheel = cache.join("wheels").join(self.file);
         if !wheel.is_file() {

@@ -101,7 +101,6 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     })
 }
 
-/// Removes the suites of a lane from `suites`, and returns the removed suites.
 fn take(suites: &mut Vec<Suite>, lane: &[Suite]) -> Vec<Suite> {
     suites.extract_if(.., |suite| lane.contains(suite)).collect()
 }

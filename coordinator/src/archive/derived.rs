@@ -31,7 +31,6 @@ struct Origins {
     policy_seeds: BTreeMap<String, Vec<u64>>,
 }
 
-/// Computes the derived members of a campaign.
 pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
     let mut view = from.view().await?;
     let mut subject = report::subject(&mut view, &from.campaign).await?;

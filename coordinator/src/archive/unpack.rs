@@ -293,12 +293,10 @@ impl ArchiveReader<'_> {
         })
     }
 
-    /// Returns the error for a file that is not an archive.
     fn not_an_archive(&self, problem: impl ToString) -> ArchiveError {
         ArchiveError::Foreign { archive: self.archive.to_owned(), problem: problem.to_string() }
     }
 
-    /// Returns the error for a member that differs from the table of contents.
     fn altered(&self, member: &str, problem: &str) -> ArchiveError {
         ArchiveError::Altered {
             archive: self.archive.to_owned(),

@@ -337,7 +337,6 @@ fn print_execution(spec: &CampaignSpec, unknown: Option<&str>) -> Result<(), Com
     Ok(())
 }
 
-/// Prints the variants that the campaign leaves out.
 fn print_left_out(left_out: &Lacking) -> Result<(), CommandError> {
     if left_out.count() > 0 {
         let count = counted(left_out.count() as u64, "variant");

@@ -206,7 +206,6 @@ fn summary_line(job: &JobLine) -> String {
     line
 }
 
-/// Describes a job at the instant `now` of the coordinator.
 fn describe_job(details: &JobDetails, now: UnixMillis) -> Result<String, CommandError> {
     let job = &details.job;
     let ago = |at| duration_text(now.since(at).as_secs_f64());

@@ -286,7 +286,6 @@ impl Search<'_> {
     }
 }
 
-/// Returns the specification of a campaign.
 pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
     CampaignSpec::from_json(&client.campaign(name).await?.1).map_err(usage)
 }

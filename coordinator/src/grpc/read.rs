@@ -155,7 +155,6 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     })
 }
 
-/// Returns the number of rollouts by suite.
 pub(super) fn rollouts_by_suite(
     requests: Vec<wire::SuiteRollouts>,
 ) -> Result<BTreeMap<String, u64>, Status> {
@@ -170,7 +169,6 @@ pub(super) fn rollouts_by_suite(
     Ok(rollouts)
 }
 
-/// Reads the filters of `ListJobs`.
 pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
     let non_empty = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
     let condition = non_empty(&request.condition).map(|name| name.parse());
@@ -230,7 +228,6 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
     }
 }
 
-/// Reads the rows to be added to a campaign.
 pub(super) fn rows(rows: Vec<wire::AppendedRow>) -> Result<Vec<AppendedRow>, Status> {
     let read = |(index, row): (usize, wire::AppendedRow)| {
         let unreadable = |error| {

@@ -93,7 +93,6 @@ impl Bench {
         Bench::start_in(folder, clock).await
     }
 
-    /// Starts a coordinator with a campaign.
     pub(crate) async fn with(spec: &Value) -> Bench {
         let bench = Bench::start().await;
         bench.create(spec).await.expect("created");
@@ -261,7 +260,6 @@ impl Bench {
         open_database(self.folder.path()).await
     }
 
-    /// Returns the number that a query yields.
     pub(crate) async fn count(&self, sql: &'static str) -> i64 {
         let pool = self.database().await;
         let count = sqlx::query_scalar(sql).fetch_one(&pool).await;
@@ -502,7 +500,6 @@ pub(crate) fn small_spec(name: &str) -> Value {
     })
 }
 
-/// Returns a specification with some fields changed.
 pub(crate) fn with(mut spec: Value, changes: Value) -> Value {
     let changes = changes.as_object().expect("fields");
     for (field, value) in changes {

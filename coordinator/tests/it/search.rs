@@ -41,7 +41,6 @@ pub(crate) fn findings(serve: &Serve, command: &str, arguments: &[&str]) -> Valu
     succeed_in_json(serve.command(&[&[command, "first", "--json"], arguments].concat()))
 }
 
-/// Runs a search to its end, with a worker that runs its rollouts. Returns the findings.
 pub(crate) async fn searched(
     serve: &Serve,
     worker: &mut Worker,

@@ -59,13 +59,11 @@ impl Drop for Bucket {
     }
 }
 
-/// Returns an address on which no program listens.
 fn free_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
 }
 
-/// Returns the environment variables that lead to a bucket.
 fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
     vec![
         ("AWS_ENDPOINT_URL", format!("http://{address}")),
@@ -94,7 +92,6 @@ async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     rollout_id(&lease)
 }
 
-/// Counts the films in the data folder.
 fn local_films(folder: &TempDir) -> usize {
     let films = std::fs::read_dir(folder.path().join("artifacts/filmed"));
     films.map_or(0, Iterator::count)

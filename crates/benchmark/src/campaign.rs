@@ -220,7 +220,6 @@ impl CampaignSpec {
         Ok(())
     }
 
-    /// Validates rows to be run under this specification.
     pub fn check_rows(&self, rows: &[ManifestRow]) -> Result<(), SpecError> {
         manifest::check(rows)?;
         let (row_model, given) = (manifest::execution(rows), self.execution.clone());

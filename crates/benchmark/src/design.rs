@@ -198,7 +198,6 @@ impl Design {
         level != Level::L0 || self.placebo.includes(config)
     }
 
-    /// Returns the axes that the design combines.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect::<AxisSet>().combined()
     }

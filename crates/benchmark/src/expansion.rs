@@ -145,7 +145,6 @@ impl Design {
         Ok(self.perturbed_row(task, condition, level, config))
     }
 
-    /// Returns the row of one perturbed rollout of a validated design.
     pub(crate) fn perturbed_row(
         &self,
         task: TaskRef,

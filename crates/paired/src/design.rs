@@ -130,7 +130,6 @@ const STUDENT: [(Level, [f64; 4]); 3] = [
 ];
 
 impl Detectable {
-    /// Returns the differences that the given numbers of tasks and configurations detect at a level.
     pub fn at(level: Level, tasks: usize, configurations: usize) -> Self {
         let distance = |other: Level| (other.radius() - level.radius()).abs();
         let nearest = |a: &Level, b: &Level| distance(*a).total_cmp(&distance(*b));

@@ -182,7 +182,6 @@ impl Matched {
         Some(possible)
     }
 
-    /// Returns the outcome under one of the campaign's conditions.
     pub fn outcome(&self, condition: Condition) -> Outcome {
         match condition {
             Condition::Nominal => self.nominal,

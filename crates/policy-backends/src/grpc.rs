@@ -41,7 +41,6 @@ pub struct GrpcAddress {
 }
 
 impl GrpcAddress {
-    /// Returns the gRPC endpoint of the address.
     pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));

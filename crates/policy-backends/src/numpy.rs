@@ -60,7 +60,6 @@ pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
     read_value_ref(&mut &*bytes).ok()
 }
 
-/// Decodes an array of floating-point numbers.
 pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let shape = lookup(value, "shape").and_then(as_shape);
     let dtype = lookup(value, "dtype").and_then(as_text);

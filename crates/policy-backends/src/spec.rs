@@ -118,7 +118,6 @@ impl fmt::Display for BackendSpec {
     }
 }
 
-/// Lists the forms of a specification.
 pub fn forms() -> String {
     KINDS.each_ref().map(|kind| kind.form).join(", ")
 }

@@ -49,13 +49,11 @@ struct Ahead {
 pub struct ManualClock(AtomicI64);
 
 impl UnixMillis {
-    /// Returns the instant `span` later.
     #[must_use]
     pub fn plus(self, span: Duration) -> UnixMillis {
         UnixMillis(self.0.saturating_add(millis(span)))
     }
 
-    /// Returns the instant `span` earlier.
     #[must_use]
     pub fn minus(self, span: Duration) -> UnixMillis {
         UnixMillis(self.0.saturating_sub(millis(span)))

@@ -97,7 +97,6 @@ pub enum ExpandError {
 }
 
 impl NewCampaign {
-    /// Reads a specification and expands it.
     pub fn from_json(spec: &str) -> Result<NewCampaign, ExpandError> {
         NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
     }

@@ -124,7 +124,6 @@ impl Queue {
         &self.shared.store
     }
 
-    /// Begins a view of the committed database.
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
@@ -132,7 +131,6 @@ impl Queue {
         View::begin(&shared.store, now, timing, self.held(), filming, lacking).await
     }
 
-    /// Returns a watch for commits.
     pub async fn changes(&self) -> Result<Changes, StoreError> {
         Changes::begin(&self.shared.store).await
     }

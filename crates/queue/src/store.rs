@@ -128,7 +128,6 @@ impl StoreError {
         matches!(**source, sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. })
     }
 
-    /// Returns the error and its cause, for the log.
     pub(crate) fn with_cause(&self) -> String {
         match self {
             Self::Statement { source, .. } => format!("{self}: {source}"),
@@ -327,7 +326,6 @@ pub fn newest_known_schema() -> i64 {
 }
 
 impl Tx<'_> {
-    /// Commits the transaction to disk.
     pub(crate) async fn commit(self) -> Result<(), StoreError> {
         for step in &self.steps {
             self.failpoints.reach(Side::Before, *step);
@@ -415,7 +413,6 @@ async fn refuse_other_schema(path: &Path) -> Result<(), OpenError> {
     }
 }
 
-/// Returns versions and checksums of the migrations that were applied to a database.
 pub(crate) async fn applied_migrations(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(i64, Vec<u8>)>, sqlx::Error> {

@@ -36,7 +36,6 @@ pub(crate) fn add_all(
     }
 }
 
-/// Adds one light, with the view and the size of its map.
 fn add(
     picture: &mut Picture,
     pass: Pass<'_>,

@@ -242,7 +242,6 @@ impl Interceptor for Bearer {
     }
 }
 
-/// Reads and checks a certificate authority.
 fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     let pem = read_pem(path)?;
     match roots(&pem) {

@@ -192,7 +192,6 @@ impl Shared {
         Ok(())
     }
 
-    /// Checks that a request has a token of one of these roles or, for a page, a session.
     fn check_role(
         &self,
         tokens: &Tokens,

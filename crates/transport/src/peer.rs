@@ -69,7 +69,6 @@ pub enum Fault {
 }
 
 impl Fault {
-    /// Reads the reason from an error and its causes.
     fn of(error: &(dyn Error + 'static)) -> Fault {
         let mut cause = Some(error);
         while let Some(error) = cause {

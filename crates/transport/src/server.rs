@@ -183,7 +183,6 @@ impl Security {
         Gate::new(tokens, self.users, resource, log_in, browser_sessions)
     }
 
-    /// Builds a gRPC server behind the gate.
     pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
         self.guarded(self.gate(resource, None))
     }

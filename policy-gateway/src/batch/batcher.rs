@@ -37,7 +37,6 @@ struct Query {
 }
 
 impl Batcher {
-    /// Creates a batcher for a back-end.
     pub fn new(backend: Arc<dyn Backend>, watch: Arc<Watch>, answer_within: Duration) -> Self {
         Self {
             shared: Arc::new(Shared {

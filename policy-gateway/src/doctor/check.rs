@@ -75,7 +75,6 @@ pub async fn check(
     Ok(conforms)
 }
 
-/// Checks one point, by comparison with the reference episode.
 async fn examine(
     point: Point,
     probe: &Probe,

@@ -38,7 +38,6 @@ pub struct Latency {
     pub real_time_chunking: bool,
 }
 
-/// Measures the latency of a policy server.
 pub async fn measure(target: &Target) -> Result<Latency, ExaminationError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
@@ -82,7 +81,6 @@ impl Latency {
         }
     }
 
-    /// Returns the distribution of delays for a campaign.
     pub fn delays(&self) -> Result<Delays, LatencyFileError> {
         Delays::measured(self.delay_steps.clone())
     }

@@ -107,7 +107,6 @@ fn width(parts: &[Part]) -> usize {
     parts.iter().map(|part| part.width()).sum()
 }
 
-/// Returns the values of these parts.
 pub(crate) fn numbers(parts: &[Part], situation: &Situation) -> Vec<f64> {
     parts.iter().flat_map(|part| part.numbers(situation)).collect()
 }

@@ -93,7 +93,6 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Connects and reads the policy's description.
     pub async fn connect(target: &Target) -> Result<Self, ExaminationError> {
         let url = || target.shown.clone();
         let endpoint = parse_endpoint(&target.url)

@@ -30,7 +30,6 @@ pub struct Situation {
     velocities: [f64; 7],
 }
 
-/// Generates situations for a suite.
 pub fn situations(suite: Suite) -> Vec<Situation> {
     let tasks: Vec<TaskRef> = suite.tasks().collect();
     let situation = |index: usize| {
@@ -49,7 +48,6 @@ pub fn situations(suite: Suite) -> Vec<Situation> {
 }
 
 impl Situation {
-    /// Returns the observation for a server with this description.
     pub fn observation(&self, described: &DescribeResponse) -> Observation {
         let image = |camera: &CameraRequest| {
             let size = [camera.width, camera.height];

@@ -129,12 +129,10 @@ impl Replica {
         self.load.load(Ordering::Relaxed)
     }
 
-    /// Returns the sequence number of the last session assigned to this replica.
     pub fn last_assigned(&self) -> u64 {
         self.last_assigned.load(Ordering::Relaxed)
     }
 
-    /// Records the assignment of the `number`th session.
     pub fn record_assignment(&self, number: u64) {
         self.last_assigned.store(number, Ordering::Relaxed);
     }
@@ -199,7 +197,6 @@ impl Replica {
         Ok(described)
     }
 
-    /// Starts an episode.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
         self.call_within_limit(Call::InSession(&session), self.backend.reset(request)).await?;

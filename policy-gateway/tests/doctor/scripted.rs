@@ -232,7 +232,6 @@ pub(crate) fn target(address: &str) -> Target {
     }
 }
 
-/// Returns the points of the protocol that a server violates.
 pub(crate) async fn failures(address: &str) -> Vec<Point> {
     let mut findings = findings(address).await;
     findings.retain(|finding| finding.verdict.has_failed());

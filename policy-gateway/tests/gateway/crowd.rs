@@ -119,7 +119,6 @@ async fn gateway_for(server: &Running, answer_within: Duration) -> Running {
     reloadable(vec![spec]).await.0
 }
 
-/// Sends this number of queries in an open session.
 async fn send_queries(
     client: &mut PolicyClient<Channel>,
     session: &str,

@@ -109,7 +109,6 @@ fn a_check_with_a_closed_pipe_exits_with_its_verdict() {
     assert!(ended.success(), "{ended}");
 }
 
-/// Creates a file with the tokens of a worker and of a viewer.
 fn token_file() -> tempfile::NamedTempFile {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let tokens = "worker worker-secret-0123456789\nviewer viewer-secret-0123456789\n";

@@ -16,7 +16,6 @@ use crate::support::{
     unused_address,
 };
 
-/// Starts a server whose answers consist of `number`.
 async fn server_answering(described: DescribeResponse, number: f32) -> Running {
     serve(Scripted::new(described, move |_| Ok(chunk(&[number; 7], 7)))).await
 }

@@ -19,7 +19,6 @@ pub(crate) async fn gateway(routes: &[&str]) -> Running {
     gateway_at("127.0.0.1:0".parse().expect("an address"), routes).await
 }
 
-/// Starts a gateway with these routes at this address.
 pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running {
     let routes = routes.iter().map(|text| text.parse::<RouteSpec>().expect(text)).collect();
     let config = Config::new(routes).expect("routes that can be served");
@@ -57,7 +56,6 @@ pub(crate) async fn behind(policy: impl Policy) -> (Running, Running, PolicyClie
     (server, gateway, client)
 }
 
-/// Returns a loopback address at which nothing listens.
 pub(crate) async fn unused_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     listener.local_addr().expect("a bound address")

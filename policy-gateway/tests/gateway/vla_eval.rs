@@ -135,7 +135,6 @@ fn message(kind: &str, payload: Value, number: u64) -> Answer {
     Answer::Message(bytes)
 }
 
-/// Returns the greeting of a vla-eval server.
 fn greeting(number: u64) -> Answer {
     let payload = vec![
         ("harness_version", "0.8.0".into()),

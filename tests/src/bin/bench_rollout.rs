@@ -339,7 +339,6 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
 }
 
 impl Bench {
-    /// Runs one whole rollout.
     fn rollout(&mut self, times_physics: bool) -> Result<Timer> {
         let timer = Rc::new(RefCell::new(Timer::new(self.clock, times_physics)));
         let mut actor = OpenLoop {

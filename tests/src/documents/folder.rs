@@ -36,7 +36,6 @@ pub enum Requirement {
 }
 
 impl Requirement {
-    /// Parses the word of a `needs` comment.
     pub fn parse(word: &str) -> Option<Self> {
         match word {
             "reference data" => Some(Self::ReferenceData),
@@ -104,7 +103,6 @@ impl Network {
         best.unwrap_or(Self::Machine)
     }
 
-    /// Returns the command prefix that runs a program in the network.
     pub fn wrapper(self) -> &'static [&'static str] {
         match self {
             Self::OfRoot => &["unshare", "--net", "sh", "-c", UP, "sh"],
@@ -167,7 +165,6 @@ impl Folder {
         self.root.path().join("rollout")
     }
 
-    /// Returns the folder for the outputs of commands.
     pub fn outputs(&self) -> PathBuf {
         self.root.path().join("outputs")
     }

@@ -50,7 +50,6 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Returns descriptions of the violated limits.
     pub fn violations(&self) -> Vec<String> {
         let mut found = Vec::new();
         let differences = [("states", Some(self.states)), ("the camera", self.camera)];

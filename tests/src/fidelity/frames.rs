@@ -56,7 +56,6 @@ pub struct FrameLimits {
 }
 
 impl RendererRelation {
-    /// Returns the kind of comparison for a renderer.
     pub fn for_drawer(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
         match drawer {
             Drawer::Software => Self::AnotherRenderer,

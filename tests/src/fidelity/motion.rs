@@ -125,7 +125,6 @@ pub(super) fn compare_predicates(
     Ok(())
 }
 
-/// Replays the contact-rich recording.
 pub(super) fn compare_contact(
     task: &ReferenceTask,
     environment: &mut Environment,

@@ -143,7 +143,6 @@ impl ReferenceTask {
     }
 }
 
-/// Reads the numeric arrays of an `.npz` file.
 pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
     let read = || format!("read {}", path.display());
     let file = File::open(path).with_context(read)?;

@@ -12,7 +12,6 @@ use tests::programs::{Process, program};
 use crate::authority::Authority;
 use crate::compare;
 
-/// Returns an address at which nothing listens.
 fn unused_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")

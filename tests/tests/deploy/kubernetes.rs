@@ -56,7 +56,6 @@ fn check(python: &Path, groups: &[Vec<PathBuf>]) -> Vec<Checked> {
     checked
 }
 
-/// Asserts that manifests and their command lines are valid.
 fn assert_valid(checked: &Checked) {
     assert_eq!(checked.faults, [""; 0]);
     // Coordinator, gateway and worker.

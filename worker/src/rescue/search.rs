@@ -29,7 +29,6 @@ pub(super) enum SearchResult {
 }
 
 impl Search {
-    /// Starts a search over a rollout with `queries` queries.
     pub(super) fn new(queries: usize) -> Self {
         Self { queries, tried: BTreeMap::new() }
     }

@@ -26,7 +26,6 @@ pub struct OwnTask {
 }
 
 impl OwnTask {
-    /// Returns the paths of the task's files.
     pub fn files(&self) -> TaskFiles {
         TaskFiles { bddl: self.bddl.clone(), init: self.init.clone() }
     }

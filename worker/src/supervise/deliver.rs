@@ -41,7 +41,6 @@ pub(crate) enum Answer {
 }
 
 impl Delivery {
-    /// Logs how the rollout ended.
     pub(crate) fn log(&self) {
         let label = &self.label;
         match &self.ending {

@@ -262,7 +262,6 @@ impl SlotState {
         }
     }
 
-    /// Records that the process was killed.
     pub(crate) fn killed(&mut self, reason: Kill) {
         self.process = ProcessState::Dying;
         if let (Kill::Stuck, &Work::Running { attempt, control_steps, .. }) = (reason, &self.work) {

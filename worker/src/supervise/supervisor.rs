@@ -429,7 +429,6 @@ impl Supervisor {
         }
     }
 
-    /// Returns the path at which a slot writes a video.
     fn video_file(&self, attempt: AttemptId) -> PathBuf {
         self.config.scratch.join(format!("{attempt}.mp4"))
     }

@@ -122,7 +122,6 @@ impl ScriptedCoordinator {
         Self::with_times(Duration::from_millis(100), progress_timeout).await
     }
 
-    /// Starts a coordinator with this heartbeat interval and progress timeout.
     pub(crate) async fn with_times(heartbeat: Duration, progress_timeout: Duration) -> Self {
         let service = Service {
             heartbeat,
@@ -140,12 +139,10 @@ impl ScriptedCoordinator {
         format!("http://{}", self.address)
     }
 
-    /// Appends a lease to be granted.
     pub(crate) fn lease(&self, lease: Lease) {
         self.change(|state| state.leases.push_back(lease));
     }
 
-    /// Appends a film to be made.
     pub(crate) fn film(&self, film: Film) {
         self.change(|state| state.films.push_back(film));
     }
@@ -231,7 +228,6 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Returns the heartbeats received so far.
     pub(crate) fn heartbeats(&self) -> Vec<HeartbeatRequest> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").heartbeats.clone()
@@ -247,13 +243,11 @@ impl ScriptedCoordinator {
         self.service.state.lock().expect("unpoisoned").messages.clone()
     }
 
-    /// Returns the ids of the workers that signed off.
     pub(crate) fn signed_off(&self) -> Vec<String> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").signed_off.clone()
     }
 
-    /// Returns the worker's requests for work.
     pub(crate) fn claims(&self) -> Vec<ClaimRequest> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").claims.clone()

@@ -34,7 +34,6 @@ pub(super) struct BareRoot {
 }
 
 impl BareRoot {
-    /// Creates the root in a folder, with the archive unpacked.
     pub(super) fn make(dir: &Path, archive: &Archive) -> Result<Self> {
         for folder in ["dev", "etc", "proc", "tmp", "opt"] {
             std::fs::create_dir_all(dir.join(folder))?;
@@ -73,7 +72,6 @@ impl BareRoot {
         &self.dir
     }
 
-    /// Creates the folder of the programs' user.
     pub(super) fn add_data(&self) -> Result<()> {
         let data = inside(&self.dir, Path::new(DATA));
         std::fs::create_dir_all(&data)?;

@@ -19,14 +19,12 @@ use super::stage;
 const CAMPAIGN: [&str; 8] =
     ["--tasks", "libero_object/1", "--axes", "camera", "--levels", "L1", "--configs", "1"];
 
-/// Packs the programs that were built for the tests, and tests the archive.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let output = tempfile::tempdir().context("make a folder")?;
     let packed = archive::make(root, cache, programs, output.path())?;
     check_archive(root, &packed)
 }
 
-/// Tests an archive.
 pub(super) fn check_archive(root: &Path, archive: &Archive) -> Result<()> {
     println!("Testing {}", archive.file.display());
     let folder = tempfile::tempdir().context("make a folder")?;

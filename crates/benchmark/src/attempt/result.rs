@@ -179,7 +179,6 @@ impl Motion {
         }
     }
 
-    /// Unpacks the positions.
     pub fn path(&self) -> Vec<[i16; 3]> {
         let numbers = self.path.as_chunks().0.iter();
         let numbers: Vec<i16> = numbers.map(|number| i16::from_le_bytes(*number)).collect();

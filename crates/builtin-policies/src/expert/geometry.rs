@@ -38,7 +38,6 @@ impl Vec3 {
         self.dot(self).sqrt()
     }
 
-    /// Length of the horizontal projection.
     pub(crate) fn horizontal_norm(self) -> f64 {
         self.x.hypot(self.y)
     }

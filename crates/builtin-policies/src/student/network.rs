@@ -120,7 +120,6 @@ impl Network {
         }
     }
 
-    /// Computes the input of the head: a row per query.
     fn head_inputs(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let texts = self.texts(queries);
         let states = self.states(queries);

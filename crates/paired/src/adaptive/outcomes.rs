@@ -70,7 +70,6 @@ impl<P> Default for Outcomes<P> {
 }
 
 impl<P: Copy + Ord> Outcomes<P> {
-    /// Adds a rollout of the source campaign.
     pub fn record_source(&mut self, point: P, outcome: Outcome) {
         self.0.entry(point).or_default().source.add(outcome);
     }
@@ -84,7 +83,6 @@ impl<P: Copy + Ord> Outcomes<P> {
         self.0.get(&point).copied().unwrap_or_default()
     }
 
-    /// Returns the tally of the source campaign's rollouts at a point.
     pub fn source(&self, point: P) -> Tally {
         self.tallies(point).source
     }

@@ -102,7 +102,6 @@ impl DirectionTest {
         Some(Self { rates, p })
     }
 
-    /// Returns the lowest and the highest rate.
     pub fn range(&self) -> [f64; 2] {
         let rates = self.rates.values().copied();
         [rates.clone().fold(f64::INFINITY, f64::min), rates.fold(f64::NEG_INFINITY, f64::max)]

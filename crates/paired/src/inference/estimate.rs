@@ -89,7 +89,6 @@ impl Estimate {
         })
     }
 
-    /// Returns the estimate of the negated value.
     pub(crate) fn negated(&self) -> Self {
         let flip = |interval: Option<Interval>| interval.map(|[low, high]| [-high, -low]);
         Self {

@@ -81,7 +81,6 @@ fn unit(id: RolloutId) -> Option<Unit> {
     Some((id.task(), id.config()?))
 }
 
-/// Returns the nominal rollout of a record's configuration.
 fn nominal(record: &Record) -> RolloutId {
     RolloutId::nominal(record.id.task(), record.init_id)
 }

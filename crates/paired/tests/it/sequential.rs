@@ -57,7 +57,6 @@ impl Population {
         self.units[position.expect("a configuration")].1
     }
 
-    /// Iterates over the values of a measure, one per configuration.
     fn values(&self, measure: Measure) -> impl Iterator<Item = i64> {
         self.units.iter().map(move |(_, transition)| value(measure, *transition))
     }
@@ -81,7 +80,6 @@ impl Population {
     }
 }
 
-/// Returns one configuration's value of a measure.
 fn value(measure: Measure, transition: Transition) -> i64 {
     use Transition::{Compensated, Emergent, StillFails, StillSucceeds};
     match (measure, transition) {

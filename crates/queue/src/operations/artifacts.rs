@@ -68,7 +68,6 @@ impl Queue {
 }
 
 impl Upload<'_> {
-    /// Appends data to the file.
     pub async fn write(&mut self, data: &[u8]) -> Result<(), ArtifactError> {
         self.size_bytes += data.len() as u64;
         if self.size_bytes > MAX_ARTIFACT_BYTES {

@@ -135,7 +135,6 @@ pub(super) mod tests {
         queue.expect("a queue")
     }
 
-    /// Returns a campaign of more than two batches.
     fn large_campaign() -> NewCampaign {
         let spec = json!({
             "name": "large",

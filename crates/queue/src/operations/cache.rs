@@ -175,7 +175,6 @@ impl Cache {
         cached.get_or_insert_with(|| origin.clone());
     }
 
-    /// Counts a turn of the campaign, which has received leases.
     pub(super) fn count_turn(&mut self, campaign: CampaignId) {
         self.turns += 1;
         self.last_turns.insert(campaign, self.turns);

@@ -153,7 +153,6 @@ fn report_created(shared: &Shared, new: &NewCampaign) -> Created {
     Created { jobs_added: jobs, jobs_total: jobs, priority: new.priority }
 }
 
-/// Returns the error for changing a campaign that is cancelled or stopped.
 fn ended_error(campaign: &Campaign) -> QueueError {
     let name = campaign.name.clone();
     match campaign.state {

@@ -144,7 +144,6 @@ impl Context<'_> {
         Ok(standings)
     }
 
-    /// Returns the leases that repeated claims got earlier, by claim.
     async fn repeated(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -259,7 +258,6 @@ impl Context<'_> {
         Ok(assigned)
     }
 
-    /// Leases up to `room` jobs of one campaign.
     async fn lease_from(
         &mut self,
         campaign: &Campaign,

@@ -218,7 +218,6 @@ impl Context<'_> {
         Ok(CommitReply { verdict: CommitVerdict::Accepted, detail: String::new() })
     }
 
-    /// Ends an attempt whose result is refused for `reason`, which `detail` explains.
     async fn refuse(
         &mut self,
         attempt: &NamedAttempt,

@@ -72,7 +72,6 @@ pub enum QueueError {
     Store(#[from] StoreError),
 }
 
-/// Returns the error for a campaign name that is not found: unknown or renamed.
 pub(crate) async fn unknown_campaign(
     tx: &mut SqliteConnection,
     name: &CampaignName,

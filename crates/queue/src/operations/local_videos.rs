@@ -34,7 +34,6 @@ pub enum FilmRemoval {
 }
 
 impl Queue {
-    /// Returns the complete videos in the data folder.
     pub async fn local_films(&self) -> Result<Vec<LocalFilm>, StoreError> {
         let found = list_files(self.store().folder()).map_err(sqlx::Error::Io);
         let found = found.doing("list the videos in the data folder")?;

@@ -229,12 +229,10 @@ impl Portable {
         View::begin(&self.store, now, Timing::default(), None, filming, Arc::default()).await
     }
 
-    /// Returns the number of videos.
     pub fn films(&self) -> u64 {
         self.films.len() as u64
     }
 
-    /// Returns the campaign under a name.
     fn named(&self, name: Option<&CampaignName>) -> Result<NewCampaign, QueueError> {
         let name = name.unwrap_or(&self.campaign.name);
         let renamed = altered(&self.spec, |spec| name.as_str().clone_into(&mut spec.name));

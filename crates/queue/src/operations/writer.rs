@@ -147,7 +147,6 @@ impl Operation {
 }
 
 impl<Q, A> Pending<Q, A> {
-    /// Creates a pending request and the receiver of its answer.
     pub(crate) fn new(request: Q) -> (Pending<Q, A>, oneshot::Receiver<Result<A, QueueError>>) {
         let (reply, answer) = oneshot::channel();
         let pending = Pending { request, answer: None, reply };

@@ -160,7 +160,6 @@ impl View {
         Ok(rows.into_iter().map(seed).collect())
     }
 
-    /// Returns the distinct provenances of a campaign's results.
     pub async fn provenances(
         &mut self,
         campaign: CampaignId,

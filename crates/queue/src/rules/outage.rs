@@ -88,7 +88,6 @@ pub enum Allowance {
 }
 
 impl PolicyHealth {
-    /// Creates the health record of a new policy, which is available.
     pub fn new(now: UnixMillis) -> PolicyHealth {
         PolicyHealth {
             outages: 0,

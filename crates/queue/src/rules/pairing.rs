@@ -193,7 +193,6 @@ mod tests {
         realised
     }
 
-    /// Returns a row of the full design.
     fn row(id: &str) -> ManifestRow {
         let rows = Design::v0_1().expand().expect("rows");
         let id: RolloutId = id.parse().expect("an id");

@@ -122,7 +122,6 @@ pub(crate) async fn by_name(
         .doing("find a campaign")
 }
 
-/// Finds a campaign by its row number.
 pub(crate) async fn by_id(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -277,7 +276,6 @@ pub(crate) async fn insert_without_jobs(
     .doing("store a campaign")
 }
 
-/// Adds jobs to a campaign.
 pub(crate) async fn append_jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -399,7 +397,6 @@ pub(crate) async fn set_priority(
         .map(drop)
 }
 
-/// Stores a campaign's altered specification.
 pub(crate) async fn set_spec(
     tx: &mut SqliteConnection,
     id: CampaignId,

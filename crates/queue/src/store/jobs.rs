@@ -410,7 +410,6 @@ pub(crate) async fn quarantined(
         .doing("find quarantined jobs")
 }
 
-/// Finds a job of a campaign by its rollout.
 pub(crate) async fn by_rollout(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

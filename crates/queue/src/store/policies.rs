@@ -91,7 +91,6 @@ pub(crate) async fn is_idle(tx: &mut SqliteConnection, id: PolicyId) -> Result<b
     .doing("check whether a policy's jobs are leased")
 }
 
-/// Stores a policy's health.
 pub(crate) async fn set_health(
     tx: &mut SqliteConnection,
     id: PolicyId,

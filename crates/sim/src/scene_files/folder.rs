@@ -321,7 +321,6 @@ pub(super) fn lock_of(name: &str) -> String {
     format!("{}.lock", &name[..2])
 }
 
-/// Returns the names of a scene's textures.
 fn names_of_textures(sections: &[Bytes]) -> impl Iterator<Item = &str> {
     let names = sections.get(TEXTURES).map_or(&[][..], |names| names.as_chunks().0);
     names.iter().filter_map(|name: &[u8; NAME_DIGITS]| std::str::from_utf8(name).ok())

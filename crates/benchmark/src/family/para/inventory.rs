@@ -75,7 +75,6 @@ pub fn inventory() -> &'static [Paraphrase] {
     })
 }
 
-/// Parses the paraphrases of a task and type.
 fn parse(
     line: &str,
     tasks: &[TaskRef],
@@ -156,7 +155,6 @@ mod tests {
 
     use super::*;
 
-    /// Counts of the released files.
     #[test]
     fn every_task_and_type_has_the_number_of_sentences_of_the_benchmark() {
         let mut by_eval: BTreeMap<u8, usize> = BTreeMap::new();

@@ -112,7 +112,6 @@ impl Measurement {
         Finding::new(outcomes, &self.searches[&ray.condition])
     }
 
-    /// Returns the next step for a ray.
     pub fn decision(&self, ray: Ray, outcomes: &Outcomes<Level>) -> Decision<Level> {
         next(outcomes, &self.searches[&ray.condition])
     }

@@ -193,7 +193,6 @@ fn sign_test(successes: u32, failures: u32) -> f64 {
 }
 
 impl Evidence {
-    /// Returns the verdict of a tally of rollouts under a subset with this role.
     pub fn verdict(&self, tally: &Tally, role: Role) -> Verdict {
         let Tally { successes, failures, pending, .. } = *tally;
         match self {

@@ -165,7 +165,6 @@ pub(crate) struct Search {
 }
 
 impl Search {
-    /// Returns the searches that explain a transition.
     pub(crate) fn for_transition(lattice: &Lattice, transition: Transition) -> Vec<Self> {
         let fails = |single: &AxisSet| lattice.verdict(*single).success() == Some(false);
         match transition {

@@ -94,17 +94,14 @@ impl Lattice {
         self.full
     }
 
-    /// Returns the rule for verdicts.
     pub const fn evidence(&self) -> Evidence {
         self.evidence
     }
 
-    /// Returns the outcomes of the explained and of the explaining campaign.
     pub const fn outcomes(&self) -> &Outcomes<AxisSet> {
         &self.outcomes
     }
 
-    /// Returns the tally of the evidence under a subset.
     pub fn tally(&self, set: AxisSet) -> Tally {
         match self.evidence {
             Evidence::Once => self.outcomes.both(set),

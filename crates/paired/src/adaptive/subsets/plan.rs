@@ -69,7 +69,6 @@ pub fn plan<'a>(
     batches
 }
 
-/// Truncates a batch to the affordable rollouts.
 fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(budget);

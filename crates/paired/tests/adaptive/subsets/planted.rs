@@ -60,7 +60,6 @@ impl Kind {
 pub(crate) struct Rule(BTreeMap<AxisSet, bool>);
 
 impl Rule {
-    /// Draws a rule of a kind.
     pub(crate) fn draw(kind: Kind, rng: &mut ChaCha12Rng) -> Self {
         loop {
             let axes = shuffled(rng);
@@ -237,7 +236,6 @@ pub(crate) fn run(
     batches
 }
 
-/// Runs a search over the outcomes of a rule.
 pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> SearchResult {
     search(strategy, Evidence::Once, |set| Outcome::from(rule.succeeds(set)))
 }

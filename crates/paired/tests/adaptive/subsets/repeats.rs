@@ -30,7 +30,6 @@ fn select(coins: Coins, rng: &mut ChaCha12Rng) -> Lattice {
     }
 }
 
-/// Runs the search of a selected configuration to its end.
 fn search(coins: Coins, strategy: Strategy, rng: &mut ChaCha12Rng) -> Lattice {
     let mut lattice = select(coins, rng);
     run(&mut lattice, strategy, |set| toss(coins(set), rng));

@@ -36,7 +36,6 @@ impl Chance {
     }
 }
 
-/// Returns the record of a simulated rollout.
 pub(crate) fn record(
     task: TaskRef,
     condition: Condition,
@@ -73,7 +72,6 @@ struct Probabilities {
 type Sums = [f64; 7 + CONDITIONS];
 
 impl Probabilities {
-    /// Returns the addends of one configuration.
     fn sums(&self) -> Sums {
         let conjunction: f64 = self.perturbed[..AXES].iter().product();
         let simultaneous = self.perturbed[AXES];
