@@ -35,7 +35,6 @@ const CONTENTS_FILE: &str = "archive.json";
 /// Prefix of temporary folders for campaigns being exported or imported.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
-/// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
     pub format: u32,
@@ -51,7 +50,6 @@ pub struct Contents {
     pub members: Vec<Member>,
 }
 
-/// File in an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
     pub name: String,

@@ -22,7 +22,6 @@ pub const RETRY_FOR: Duration = Duration::from_secs(30);
 /// First and longest pause between retries; each pause is twice the previous one.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
-/// Timeout of one connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Flags and URL prefixes that error messages name.
@@ -41,7 +40,6 @@ pub struct Client {
     peer: Peer,
 }
 
-/// Error of a request to the coordinator.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     #[error(transparent)]

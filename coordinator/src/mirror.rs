@@ -11,7 +11,6 @@ use queue::{FilmRemoval, LocalFilm, Queue};
 
 use crate::storage::{Storage, StorageError};
 
-/// Interval between two scans for films.
 const SCAN_INTERVAL: Duration = Duration::from_secs(2);
 /// Number of concurrent uploads: several, since the storage's latency exceeds the transfer time of
 /// a film.

@@ -34,7 +34,6 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 
-/// Configuration of a coordinator.
 pub struct Config {
     pub data: PathBuf,
     /// Durations of leases, heartbeats and timeouts.

@@ -33,7 +33,6 @@ const QUOTED_BYTES: usize = 500;
 #[derive(Clone, Debug)]
 pub struct Storage {
     store: Arc<dyn ObjectStore>,
-    /// Prefix of all keys.
     prefix: Key,
     /// Address of the storage as given by the operator, for messages.
     location: String,
@@ -49,7 +48,6 @@ pub struct ObjectRange {
     pub bytes: BoxedBytes,
 }
 
-/// Stream of an object's bytes.
 pub struct BoxedBytes(pub BoxStream<'static, Result<axum::body::Bytes, StorageError>>);
 
 impl std::fmt::Debug for BoxedBytes {

@@ -24,7 +24,6 @@ pub struct Queue<T> {
     in_flight: usize,
 }
 
-/// Next action of a batcher.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Next<T> {
     /// Send this batch, and call [`Queue::done`] when it has ended.

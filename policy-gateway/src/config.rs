@@ -37,7 +37,6 @@ use transport::{Access, AccessError, Role};
 pub const MAX_REPLICAS: usize = 64;
 /// Longest route name, bytes.
 pub const MAX_ROUTE_NAME_BYTES: usize = 64;
-/// Longest `answer_within_secs`.
 const MAX_ANSWER_WITHIN_SECS: f64 = 3600.0;
 
 /// Reason why a configuration is invalid. The message follows "failed to …".
@@ -181,7 +180,6 @@ impl AccessFiles {
     }
 }
 
-/// Batching of queries and choice of the replica.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Batching {

@@ -42,17 +42,14 @@ const FATAL_PHRASES: [&str; 8] = [
 /// Call that is about to be sent to a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call<'a> {
-    /// A call for the description, which belongs to no session.
     Describe,
     InSession(&'a str),
 }
 
-/// Kind of an answered call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
     /// Any answer except actions.
     Other,
-    /// An answer to a query, with actions.
     Query,
 }
 
@@ -81,7 +78,6 @@ pub struct Outage {
     failures: u32,
     /// Earliest time of the next probe.
     probe_at: Instant,
-    /// Current probe of the server.
     probe: Option<Probe>,
 }
 

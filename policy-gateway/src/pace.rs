@@ -11,7 +11,6 @@ use std::collections::VecDeque;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
-/// Number of recent answers in the average.
 const SAMPLES: usize = 32;
 /// Smallest number of answers for an average.
 const MIN_SAMPLES: usize = 8;

@@ -28,7 +28,6 @@ pub use error::RouteError;
 /// Time without a call after which a session no longer counts towards the capacity: the worker of
 /// the session has ended, or simulates for long between queries.
 const SESSION_IDLE: Duration = Duration::from_secs(120);
-/// Interval at which a waiting Reset checks for capacity.
 const RESET_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Name, checkpoints and open sessions of a route.
@@ -40,7 +39,6 @@ pub struct Route {
     retired: AtomicBool,
 }
 
-/// Open session.
 struct Session {
     /// Pool in which the session was opened. If a reload replaces the pool, open sessions keep the
     /// old pool.
@@ -55,7 +53,6 @@ struct Session {
 
 struct SessionState {
     described: Arc<DescribeResponse>,
-    /// Replicas at which the session is open.
     open_on: Vec<Arc<Replica>>,
     last_answer: Option<Answer>,
 }

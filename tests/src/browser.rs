@@ -26,7 +26,6 @@ pub struct Browser {
     requests: Vec<String>,
 }
 
-/// Screen on which a page is displayed.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
     /// Width of the window, CSS pixels.

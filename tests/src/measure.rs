@@ -4,13 +4,11 @@ use std::fmt;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Clock for timing work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Clock {
     /// CPU time of the calling thread, hardly affected by other programs. Only for work that
     /// runs entirely on that thread.
     ThreadCpu,
-    /// Wall time.
     Wall,
 }
 

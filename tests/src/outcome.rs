@@ -17,7 +17,6 @@ pub struct Outcome {
     pub steps: i64,
     /// Digests of the scene, the initial state and the policy's first frames.
     pub digests: [String; 3],
-    /// Prompt that the policy got.
     pub prompt: String,
 }
 
@@ -33,7 +32,6 @@ impl Outcome {
     }
 }
 
-/// Outcomes by rollout id.
 pub type Outcomes = BTreeMap<String, Outcome>;
 
 /// Reads the outcomes of a campaign from a coordinator's data.

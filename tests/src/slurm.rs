@@ -12,14 +12,11 @@ use std::time::{Duration, Instant};
 pub const NODES: [&str; 2] = ["n1", "n2"];
 /// Partitions; jobs in the second preempt jobs in the first.
 pub const PARTITIONS: [&str; 2] = ["low", "high"];
-/// Required programs of Slurm and munge.
 const PROGRAMS: [&str; 8] =
     ["munged", "slurmctld", "slurmd", "sbatch", "scancel", "scontrol", "sinfo", "squeue"];
 /// Debian's folder of daemons, which may be missing from `PATH`.
 const DAEMON_FOLDER: &str = "/usr/sbin";
-/// Timeout of the cluster's operations.
 const PATIENCE: Duration = Duration::from_secs(300);
-/// Timeout of the end of the cluster's jobs.
 const JOB_END_TIMEOUT: Duration = Duration::from_secs(40);
 
 /// A running cluster; its jobs and daemons are ended when it is dropped.

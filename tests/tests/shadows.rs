@@ -16,7 +16,6 @@ use tests::files::{folder_with_links, libero, sources};
 use tests::outcome::alone;
 use tests::programs::{Campaigns, program};
 
-/// A scene with changed lights.
 #[derive(Deserialize)]
 struct Case {
     name: String,

@@ -99,7 +99,6 @@ fn report_of_one_machine(endpoint: &str) -> String {
     report + &campaigns.succeed(&["report", CAMPAIGN, "--json"])
 }
 
-/// A campaign on a cluster, with its coordinator outside the cluster.
 struct ClusterCampaign {
     // Dropped first, since its jobs call the coordinator.
     cluster: Cluster,

@@ -45,7 +45,6 @@ impl fmt::Display for Session {
     }
 }
 
-/// Command that the parent sends to a slot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotCommand {
@@ -54,7 +53,6 @@ pub enum SlotCommand {
     Abandon(AttemptId),
 }
 
-/// Rollout for a slot to run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
     pub attempt: AttemptId,
@@ -128,7 +126,6 @@ impl Assignment {
     }
 }
 
-/// Event that a slot sends to the parent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotEvent {
@@ -145,7 +142,6 @@ pub enum SlotEvent {
     },
 }
 
-/// Event of a rollout, as a slot reports it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutEvent {
@@ -155,7 +151,6 @@ pub enum RolloutEvent {
     Finished(Box<Finished>),
     /// The rollout ended without a result.
     Failed(Failure),
-    /// The rollout was abandoned, as commanded.
     Abandoned,
     /// Number of frames so far of the video that was announced with the result.
     Filming(u32),
@@ -165,7 +160,6 @@ pub enum RolloutEvent {
     NotFilmed(String),
 }
 
-/// Result of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
     pub result: RolloutResult,

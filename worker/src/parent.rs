@@ -12,7 +12,6 @@ use serde::de::DeserializeOwned;
 
 use crate::message::MAX_LINE_BYTES;
 
-/// Connection to the parent process.
 #[derive(Debug)]
 pub struct Parent(UnixStream);
 

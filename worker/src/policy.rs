@@ -27,7 +27,6 @@ use crate::message::Assignment;
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
 /// Longest wait for the acknowledgement of an episode's end.
 const END_DEADLINE: Duration = Duration::from_secs(2);
-/// Longest wait for a connection.
 const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
 /// HTTP/2 receive window, bytes: larger than an answer, so that no call waits for a window update.
 const WINDOW_BYTES: u32 = 4 << 20;

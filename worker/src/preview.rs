@@ -23,7 +23,6 @@ const PRESETS_PER_ROW: usize = 5;
 /// Side of a frame, pixels, as policies usually ask for.
 const FRAME: u32 = 256;
 
-/// Configuration to preview.
 pub struct Request {
     pub task: TaskRef,
     /// Index of the configuration, which selects preset and initial state.

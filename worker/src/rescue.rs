@@ -54,13 +54,11 @@ pub enum RescueError {
 /// Content of `rescue.json`. Steps are control steps of the policy, counted from 0.
 #[derive(Debug, Serialize)]
 pub struct Rescue {
-    /// Identifier of the failing rollout.
     pub rollout_id: RolloutId,
     /// The policy's own name.
     pub policy: String,
     /// SHA-256 of the policy's checkpoint, if the policy gives it.
     pub policy_checkpoint_digest: String,
-    /// Step budget of the policy.
     pub max_steps: u32,
     /// Steps at which the policy was queried, the candidates of the search.
     pub looks: Vec<u32>,
@@ -81,7 +79,6 @@ pub struct Rescue {
     pub nudge_m: f64,
 }
 
-/// One trial of the search.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tried {
     /// Step at which the perturbations were lifted.

@@ -42,7 +42,6 @@ pub struct Step {
     pub executed: Action,
 }
 
-/// Observes a rollout, and may abandon it.
 pub trait Watcher {
     /// Called after the scene is composed, after settling and after every later control step.
     /// `control_steps` includes the steps of settling. `Break` abandons the rollout.
@@ -199,12 +198,10 @@ pub(crate) fn run_resumed(
     Ok(Simulated { finished, actions: run.executed })
 }
 
-/// State of a running rollout.
 struct Run<'a> {
     assignment: &'a Assignment,
     /// Start at a step of an earlier rollout; `None` for a rollout from its initial state.
     resumed: Option<Resumed<'a>>,
-    /// Name of the rollout in messages.
     title: String,
     description: &'a Description,
     actor: &'a mut dyn Actor,

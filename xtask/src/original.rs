@@ -10,7 +10,6 @@ use crate::setup;
 use crate::step::step;
 use crate::venv;
 
-/// Packages that the original imports.
 const PACKAGES: [&str; 15] = [
     "mujoco==3.3.7",
     "numpy",

@@ -9,7 +9,6 @@ use anyhow::{Context, Result, ensure};
 use crate::dist::digest;
 use crate::process::capture;
 
-/// A wheel, and the files to extract from it.
 pub(crate) struct Wheel {
     /// Name and version in pip's syntax.
     pub(crate) requirement: &'static str,

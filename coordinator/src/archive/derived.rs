@@ -12,17 +12,13 @@ use serde_json::Value;
 use super::ArchiveError;
 use crate::report;
 
-/// Member with the campaign's specification.
 pub(super) const SPECIFICATION: &str = "specification.json";
-/// Member with the provenance of the results.
 pub(super) const PROVENANCE: &str = "provenance.json";
-/// Member with the campaign's report.
 pub(super) const REPORT: &str = "report.json";
 
 /// Names and contents of the derived members.
 pub(super) type Derived = [(&'static str, String); 3];
 
-/// Content of [`PROVENANCE`].
 #[derive(Serialize)]
 struct Origins {
     /// Machines, programs, assets and policies of the results.

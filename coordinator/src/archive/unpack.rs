@@ -34,12 +34,10 @@ const NO_TAR: &str = "it is not a compressed tar archive";
 /// First members after the table of contents, in order; every archive has them.
 const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, ROLLOUTS_FILE];
 
-/// Verified campaign from an archive.
 #[derive(Debug)]
 pub struct Unpacked {
     /// Rows and films of the campaign, in a folder of their own.
     pub campaign: Portable,
-    /// Table of contents of the archive.
     pub contents: Contents,
 }
 

@@ -31,7 +31,6 @@ use crate::storage::Storage;
 /// Size of each message of a report, bytes.
 const REPORT_PART_BYTES: usize = 1 << 20;
 
-/// Operator service of a queue.
 #[derive(Debug)]
 pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,

@@ -39,7 +39,6 @@ const SWEEP_SECS: u64 = 10;
 /// Number of coordinators started so far.
 static STARTS: AtomicU64 = AtomicU64::new(0);
 
-/// A running coordinator.
 pub(crate) struct Bench {
     pub(crate) folder: TempDir,
     pub(crate) clock: Arc<ManualClock>,

@@ -33,7 +33,6 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
     }
 }
 
-/// A report as JSON and as text.
 struct Report {
     json: Value,
     table: String,

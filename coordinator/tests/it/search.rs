@@ -18,7 +18,6 @@ use crate::process::{Serve, coordinator, succeed, succeed_in_json};
 /// Longest time that a campaign with planted outcomes may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Function that gives the planted outcome of a rollout.
 pub(crate) type Planted = fn(&RolloutId) -> Outcome;
 
 /// Runs waiting jobs until none is left.

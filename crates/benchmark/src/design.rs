@@ -33,7 +33,6 @@ pub struct Design {
     pub nominal: Nominal,
     /// Seed of the configurations beyond the presets, and of task-specific directions.
     pub seed: u64,
-    /// Source of the directions of the configurations.
     pub directions: Directions,
     /// Settings of the placebo level; the defaults if L0 is not among `levels`.
     pub placebo: Placebo,

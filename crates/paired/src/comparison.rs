@@ -38,7 +38,6 @@ impl Obstacle {
     }
 }
 
-/// One of two policies that are compared.
 #[derive(Clone, Copy, Debug)]
 pub struct Compared<'a> {
     /// Rollouts of the policy, with or without an outcome.

@@ -358,7 +358,6 @@ fn interval_of_new_tasks(estimate: &Estimate) -> String {
     })
 }
 
-/// Subject of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {

@@ -44,7 +44,6 @@ pub enum GateVerdict {
     Undecided,
 }
 
-/// The gate of one suite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuiteGate {
     pub suite: Suite,

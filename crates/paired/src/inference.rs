@@ -20,7 +20,6 @@ use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
 use crate::outcomes::Matched;
 
-/// Inference about one level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inference {
     /// The paper's measures over complete configurations, with intervals for each target.

@@ -53,7 +53,6 @@ impl From<bool> for Outcome {
     }
 }
 
-/// A rollout of one replicate, with its outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     pub id: RolloutId,
@@ -194,7 +193,6 @@ impl Matched {
     }
 }
 
-/// Records by rollout, with their matched configurations.
 #[derive(Clone, Debug, Default)]
 pub struct Records {
     pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,

@@ -45,7 +45,6 @@ pub trait BuiltinPolicy: Send {
     -> Result<Vec<Action>, String>;
 }
 
-/// Built-in policy by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Builtin {
     Noop,

@@ -25,7 +25,6 @@ use crate::spec::{Kind, OwnError, Specified};
 pub(crate) const KIND: Kind =
     Kind::new::<GrpcAddress>(&["grpc", "https"], "grpc://HOST:PORT[/POLICY] (https:// over TLS)");
 
-/// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Idle time before the kernel probes a connection, which detects a host that vanished.
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);

@@ -20,7 +20,6 @@ pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordInto {
-    /// An existing folder.
     pub folder: PathBuf,
     pub max_bytes: u64,
 }

@@ -21,7 +21,6 @@ use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest}
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-/// First line of a file.
 const FIRST_LINE: &[u8] = b"rollout recording 1\n";
 /// Extension of complete recordings.
 pub const SUFFIX: &str = "recording";

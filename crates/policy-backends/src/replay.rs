@@ -51,7 +51,6 @@ impl Specified for Recordings {
     }
 }
 
-/// Batch mode in the provenance of replayed results.
 const BATCH_MODE: &str = "replayed from a recording";
 
 pub struct Replay {

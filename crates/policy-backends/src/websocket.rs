@@ -81,7 +81,6 @@ impl ConnectedSince {
     }
 }
 
-/// Address of a server, with the credentials for it.
 pub(super) struct Server {
     connected: ConnectedSince,
     host_port: HostPort,

@@ -14,7 +14,6 @@ use sha2::{Digest, Sha256};
 
 use crate::ids::{CampaignName, NameError};
 
-/// A campaign ready to be stored.
 #[derive(Clone, Debug)]
 pub struct NewCampaign {
     pub name: CampaignName,
@@ -25,7 +24,6 @@ pub struct NewCampaign {
     /// Name of the policy at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Name of the realisation.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
@@ -46,14 +44,12 @@ pub struct NewCampaign {
     pub priority: i32,
 }
 
-/// A job ready to be stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewJob {
     pub rollout_id: String,
     pub replicate: u32,
     /// Key of the task and its files, as [`TaskKey::of_row`] writes it.
     pub task: String,
-    /// Id of the initial state.
     pub init_id: u16,
     /// Place in the campaign's order of jobs, from 0; see [`NewCampaign::from_spec`].
     pub unit_order: i64,

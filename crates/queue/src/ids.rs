@@ -74,7 +74,6 @@ pub struct WorkerId(pub String);
 #[sqlx(transparent)]
 pub struct CampaignName(String);
 
-/// A job by its rollout id and replicate, as operators name it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobName {
     pub rollout_id: String,

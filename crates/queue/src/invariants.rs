@@ -22,7 +22,6 @@ pub struct Invariant {
     query: &'static str,
 }
 
-/// An invariant that does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
     pub invariant: &'static str,
@@ -31,7 +30,6 @@ pub struct Violation {
     pub examples: Vec<String>,
 }
 
-/// A database that cannot be checked.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckError {
     #[error("check {}: there is no such database; name a data folder, or a database file", path.display())]

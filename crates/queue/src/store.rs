@@ -72,7 +72,6 @@ pub struct Store {
     lock: File,
 }
 
-/// A data folder that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     #[error("open data folder {}: check that it exists and that this user may write to it", folder.display())]
@@ -99,7 +98,6 @@ pub enum OpenError {
     Database { path: PathBuf, source: sqlx::Error },
 }
 
-/// A failure of the database.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
     #[error("{doing} in the database")]

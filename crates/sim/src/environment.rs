@@ -39,7 +39,6 @@ pub struct Environment {
     pub(crate) control_steps: u32,
 }
 
-/// Joint readings at the observed instant.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct JointReadings {
     pos: [f64; ARM_JOINTS + 2],

@@ -41,12 +41,10 @@ pub enum Resource {
     Page(Allowed),
 }
 
-/// Callers that are allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
     /// Everybody: the resource reveals nothing and changes nothing.
     Everybody,
-    /// Callers with one of these roles.
     OneOf(&'static [Role]),
 }
 

@@ -62,7 +62,6 @@ pub enum Fault {
     Tls(String),
     /// A web server answered.
     OtherProtocol(String),
-    /// The server does not have the call.
     LacksCall,
     /// No answer came: there is no connection, or it ended.
     NoAnswer(String),
@@ -114,7 +113,6 @@ impl Fault {
 #[error("{finding}; {remedy}")]
 pub struct ConnectError {
     pub fault: Fault,
-    /// The fault in words.
     pub finding: String,
     remedy: String,
 }

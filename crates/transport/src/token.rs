@@ -17,7 +17,6 @@ use crate::private::exposed;
 pub const MIN_TOKEN_BYTES: usize = 16;
 /// Longest token, bytes.
 pub const MAX_TOKEN_BYTES: usize = 256;
-/// Most tokens in one file.
 pub const MAX_TOKENS: usize = 256;
 /// Largest token file, bytes.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 128 << 10;

@@ -19,7 +19,6 @@ const SEED: u64 = 1;
 /// Seed of episodes whose answers may differ from those of the reference episode.
 const OTHER_SEED: u64 = 2;
 pub(crate) const CONCURRENCY: u32 = 8;
-/// Number of situations in which a change is tried.
 const TRIED_SITUATIONS: usize = 4;
 
 points! {

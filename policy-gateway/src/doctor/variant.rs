@@ -30,7 +30,6 @@ pub(crate) enum Turn {
     /// Flip, left to right.
     Mirrored,
     Half,
-    /// Rotation by 90° to the left.
     Left,
     /// Rotation by 90° to the right.
     Right,

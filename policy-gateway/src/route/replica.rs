@@ -42,7 +42,6 @@ pub struct Replica {
     batcher: Batcher,
     calls: Semaphore,
     watch: Arc<Watch>,
-    /// Batch size from the last description.
     batch_size: AtomicUsize,
     /// Actions executed per query, from the last description.
     execute: AtomicU32,

@@ -35,7 +35,6 @@ type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 /// The policy, with its preprocessing and postprocessing.
 pub(crate) struct Planted {
     pub(crate) described: DescribeResponse,
-    /// Amplitude of the noise in the actions.
     noise: f64,
     prepare: Box<dyn Fn(&mut NetworkInput) + Send + Sync>,
     finish: Box<Finish>,

@@ -18,9 +18,7 @@ use tonic::{Code, Request, Response, Status};
 use crate::assertions::assert_refused;
 use crate::support::{behind, chunk, describe, description, infer, reloadable, reset, serve};
 
-/// Largest batch of the simulated server.
 const LARGEST: u32 = 4;
-/// Time that the server takes for one batch.
 const BATCH_TIME: Duration = Duration::from_millis(5);
 
 /// A simulated server of fixed speed. It answers with a hundredth of the number in a session's

@@ -32,12 +32,10 @@ enum Answer {
     Nothing,
 }
 
-/// Event of a server.
 #[derive(Debug, PartialEq)]
 enum ServerEvent {
     /// A connection, with the value of its `Authorization` header.
     Connected(Option<String>),
-    /// Type of a received message.
     Received(String),
     Disconnected,
 }

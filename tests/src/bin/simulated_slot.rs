@@ -26,7 +26,6 @@ use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 /// Number of control steps that are played. The result reports another number, from the hash of the
 /// rollout's id and the policy's actions.
 const STEPS: u32 = 12;
-/// Duration of a control step.
 const STEP: Duration = Duration::from_millis(12);
 /// Name of the simulated renderer. Its digest serves as the slot's fingerprint.
 const RENDERER: &str = "simulated";

@@ -48,7 +48,6 @@ pub struct Plan {
     pub patience: Duration,
 }
 
-/// A worker and the identity of its simulated machine.
 struct Worker {
     process: Process,
     machine: usize,

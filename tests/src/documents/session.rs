@@ -50,7 +50,6 @@ struct Server {
 /// Report of a failed command.
 #[derive(Debug)]
 pub struct Failure {
-    /// Problem in one line.
     pub problem: String,
     /// Output of the command; only the end if it is long.
     pub output: String,

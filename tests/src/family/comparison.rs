@@ -69,24 +69,20 @@ impl Findings {
     }
 }
 
-/// Reason why a case was not compared.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Skipped(pub String);
 
-/// Compares cases with their recordings.
 pub struct Comparison {
     sources: Sources,
     pack: AssetPack,
     /// LIBERO-PRO's assets; `None` if no folder of them is named.
     pro_pack: Option<AssetPack>,
-    /// Checkout of LIBERO-Para.
     para: Option<PathBuf>,
     /// Pictures in the look of `pack`.
     pictures: PathBuf,
     simulators: BTreeMap<PathBuf, Simulator>,
 }
 
-/// A case as this project runs it.
 struct Run {
     group: String,
     files: TaskFiles,

@@ -71,7 +71,6 @@ pub struct ContactFindings {
 /// The largest difference and its location.
 #[derive(Debug, Clone, Default)]
 pub struct Worst {
-    /// The difference.
     pub value: f64,
     /// Name of the array or step.
     pub place: String,

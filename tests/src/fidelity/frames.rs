@@ -29,7 +29,6 @@ pub enum RendererRelation {
     AnotherDriver,
     /// OpenGL on the machine that recorded the reference.
     ThisMachine,
-    /// The software renderer.
     AnotherRenderer,
 }
 

@@ -53,7 +53,6 @@ fn host_port(process: &Process) -> String {
 /// Beginning of the error about a server that does not answer; the reason follows it.
 const NO_ANSWER: &str = "no answer came from it (";
 
-/// Server that a client meets.
 struct Case {
     name: &'static str,
     /// `HOST:PORT`.

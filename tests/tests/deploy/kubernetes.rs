@@ -35,7 +35,6 @@ fn secrets() -> PathBuf {
 #[derive(Debug, serde::Deserialize)]
 struct Checked {
     faults: Vec<String>,
-    /// Command lines of the containers.
     commands: Vec<Vec<String>>,
     resources: usize,
 }

@@ -20,7 +20,6 @@ const PAGE: Colour = [240, 240, 232];
 const PAPER: Colour = [255, 255, 255];
 const INK: Colour = [32, 32, 32];
 
-/// Contact sheet under construction.
 pub(super) struct Sheet {
     columns: usize,
     cell: usize,

@@ -12,7 +12,6 @@ use super::error::SingleError;
 #[derive(Debug)]
 pub struct OwnTask {
     pub bddl: PathBuf,
-    /// The `.pruned_init` file.
     pub init: PathBuf,
     /// Index of the initial state, from 0.
     pub init_id: u16,

@@ -26,7 +26,6 @@ const MAX_LINE_BYTES: u64 = 4096;
 pub struct RecordedActions {
     path: PathBuf,
     actions: Vec<Action>,
-    /// Index of the action to replay next.
     next: usize,
 }
 

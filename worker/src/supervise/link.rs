@@ -60,7 +60,6 @@ struct LinkState {
     has_answered: AtomicBool,
     /// Start of the current outage; `None` while the coordinator answers.
     outage: Mutex<Option<Instant>>,
-    /// Notified when an outage ends.
     outage_ended: Notify,
 }
 

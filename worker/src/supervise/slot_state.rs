@@ -35,7 +35,6 @@ pub(crate) enum Mode {
     },
 }
 
-/// State of a slot's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ProcessState {
     /// No process is running.
@@ -55,12 +54,13 @@ pub(crate) enum ProcessState {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
-    /// The slot is idle.
     Nothing,
     /// A job is being claimed from the coordinator.
     Claiming,
     /// The files of the job's task are being fetched.
-    Preparing { attempt: AttemptId },
+    Preparing {
+        attempt: AttemptId,
+    },
     /// A rollout is being simulated.
     Running {
         attempt: AttemptId,
@@ -96,7 +96,6 @@ pub(crate) enum Video {
     None,
     /// The slot's process makes the video, and does no other work meanwhile.
     Filming {
-        /// Attempt that the video shows.
         attempt: AttemptId,
         /// Frames of the video so far.
         pictures: u32,
@@ -106,10 +105,7 @@ pub(crate) enum Video {
         result: ResultState,
     },
     /// The video is finished, and its result is still being delivered.
-    Made {
-        /// Attempt that the video shows.
-        attempt: AttemptId,
-    },
+    Made { attempt: AttemptId },
 }
 
 /// State of a filmed rollout's result.
@@ -121,7 +117,6 @@ pub(crate) enum ResultState {
     Unwanted,
 }
 
-/// Next action on a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VideoDecision {
     Upload(AttemptId),
@@ -147,7 +142,6 @@ pub(crate) struct SlotState {
     restarts: Backoff,
 }
 
-/// Next action on a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Decision {
     Start,
@@ -155,14 +149,11 @@ pub(crate) enum Decision {
     Kill(Kill),
 }
 
-/// Reason why a process is killed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kill {
     /// The process did not become ready in time.
     NotReady,
-    /// The rollout makes no progress.
     Stuck,
-    /// The video makes no progress.
     StuckFilming,
     /// The process did not abandon its rollout in time.
     NotAbandoned,

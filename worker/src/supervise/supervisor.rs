@@ -40,7 +40,6 @@ const STARTS_AT_ONCE: usize = 8;
 /// Longest wait for slots' processes to end by themselves.
 const END_DEADLINE: Duration = Duration::from_secs(5);
 
-/// A slot, its process and its job.
 #[derive(Debug)]
 struct Slot {
     state: SlotState,
@@ -50,7 +49,6 @@ struct Slot {
     /// Assignment of the current job, or else of the last one. Claims name its task, whose scene
     /// the slot's process has usually compiled.
     assignment: Option<Assignment>,
-    /// Campaign of `assignment`.
     campaign: String,
     /// Assignment whose files are being fetched, with its campaign.
     preparing: Option<(Assignment, String)>,

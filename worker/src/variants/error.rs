@@ -16,21 +16,16 @@ pub enum VariantsError {
     /// A task file is missing or wrong.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// The suite file is invalid.
     #[error("use {}", path.display())]
     SuiteFile {
-        /// Path of the file.
         path: PathBuf,
         /// Error that names the field and the remedy.
         #[source]
         source: SuiteFileError,
     },
-    /// A file cannot be read.
     #[error("use {}: check its path and permissions", path.display())]
     File {
-        /// Path of the file.
         path: PathBuf,
-        /// Error of the system.
         #[source]
         source: io::Error,
     },

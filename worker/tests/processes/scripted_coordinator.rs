@@ -37,7 +37,6 @@ pub(crate) enum WorkerMessage {
     Released(Box<ReleaseRequest>),
 }
 
-/// A result as the worker sent it.
 pub(crate) struct Commit {
     pub(crate) attempt_id: String,
     pub(crate) result: RolloutResult,

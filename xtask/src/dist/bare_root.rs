@@ -26,7 +26,6 @@ pub(super) const DATA: &str = "/data";
 const ENTER: &str = "mount --rbind /proc \"$0/proc\" && mount --rbind /dev \"$0/dev\" && \
                      exec chroot \"$@\"";
 
-/// Root folder that programs enter with `chroot`.
 pub(super) struct BareRoot {
     dir: PathBuf,
     /// True if this process runs as root; otherwise entering the folder requires a user namespace.

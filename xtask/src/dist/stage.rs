@@ -32,7 +32,6 @@ pub(super) const FOR_USERS: &str = "share/rollout";
 /// Staged folder, and what its programs need from the machine.
 pub(crate) struct Staged {
     pub(crate) folder: PathBuf,
-    /// The oldest glibc.
     pub(crate) glibc: (u32, u32),
     /// Libraries, other than glibc's.
     pub(crate) libraries: BTreeSet<String>,

@@ -147,7 +147,6 @@ pub struct Parts {
     pub policy_secs: f64,
 }
 
-/// Residual of the inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IkResidual {

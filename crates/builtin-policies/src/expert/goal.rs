@@ -83,7 +83,6 @@ fn let_go(world: &World, motion: &Motion) -> Option<Command> {
 #[derive(Clone, Copy)]
 struct Takeover<'a> {
     motion: &'a Motion,
-    /// The previous plan.
     earlier: &'a VecDeque<Skill>,
 }
 

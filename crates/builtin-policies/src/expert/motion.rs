@@ -174,7 +174,6 @@ pub(crate) enum HandLoad<'a> {
     Empty(f64),
     /// The hand moves to grasp this object, which is not an obstacle.
     For(&'a Entity),
-    /// The hand holds this object.
     With(&'a Entity),
 }
 

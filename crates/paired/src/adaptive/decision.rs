@@ -5,7 +5,6 @@
 pub enum Decision<R> {
     /// Run this batch; it is not empty.
     Run(Vec<R>),
-    /// Wait for outcomes.
     Wait,
     /// The configuration has nothing to search for, or no rollout is left to run.
     Done,

@@ -56,7 +56,6 @@ impl Tally {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcomes<P>(BTreeMap<P, Tallies>);
 
-/// Tallies of one point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Tallies {
     source: Tally,

@@ -15,7 +15,6 @@ use crate::outcomes::{Count, Matched};
 /// Number of random permutations; the smallest p-value is 1 / (`PERMUTATIONS` + 1).
 const PERMUTATIONS: u32 = 1999;
 
-/// Simultaneous success by direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DirectionTest {
     /// Simultaneous success under each direction, over all tasks. The key is the number that the

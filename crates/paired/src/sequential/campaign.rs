@@ -21,7 +21,6 @@ pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 pub struct CampaignLook {
     /// Configurations that the look rests on, in the drawn order.
     pub used: Vec<Unit>,
-    /// Number of configurations of the campaign.
     pub units: usize,
     pub levels: BTreeMap<Level, Look>,
 }

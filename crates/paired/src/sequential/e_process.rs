@@ -33,7 +33,6 @@ pub(crate) struct EProcess {
     bets: Vec<Bet>,
 }
 
-/// E-values by candidate.
 pub(crate) struct EValues {
     /// Log e-values of each bet, from the least possible total to the greatest.
     logs: Vec<Vec<f64>>,

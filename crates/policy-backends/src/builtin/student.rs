@@ -49,7 +49,6 @@ impl Specified for WeightsFile {
 const STATE: [StateField; 3] =
     [StateField::EefPos, StateField::EefRotation, StateField::GripperPos];
 
-/// Weights that are compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
     /// Trained in unperturbed scenes of LIBERO's own assets.

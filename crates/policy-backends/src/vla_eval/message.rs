@@ -9,7 +9,6 @@ use thiserror::Error;
 use super::address::MAX_EXECUTE;
 use crate::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
-/// Version of the protocol.
 pub(super) const VERSION: u64 = 1;
 /// Version of vla-eval whose client the gateway reproduces.
 const HARNESS_VERSION: &str = "0.8.0";

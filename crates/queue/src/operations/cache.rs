@@ -44,7 +44,6 @@ pub(super) struct Cache {
     measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
     /// Number of turns so far. A turn grants leases to one campaign.
     turns: u64,
-    /// Turn at which each campaign last received leases.
     last_turns: BTreeMap<CampaignId, u64>,
 }
 

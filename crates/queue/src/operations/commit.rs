@@ -11,7 +11,6 @@ use crate::store::jobs::NamedAttempt;
 use crate::store::results::NewResult;
 use crate::store::{StoreError, campaigns, jobs, results, workers};
 
-/// A result as a worker reports it.
 #[derive(Clone, Debug)]
 pub struct CommitReport {
     pub attempt: AttemptId,
@@ -34,7 +33,6 @@ pub enum CommitVerdict {
     Unpaired,
 }
 
-/// The answer to a reported result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommitReply {
     pub verdict: CommitVerdict,

@@ -53,7 +53,6 @@ pub struct Portable {
     pub spec: String,
 }
 
-/// A video of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilmFile {
     /// Its name in an archive, `artifacts/CAMPAIGN/….ATTEMPT.mp4`.
@@ -67,7 +66,6 @@ pub struct FilmFile {
 /// The source campaign of a derived campaign, with the digest of its outcomes.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SourceOutcomes {
-    /// Name of the source campaign.
     pub campaign: String,
     /// SHA-256 of the outcomes, hex.
     pub outcomes: String,
@@ -475,7 +473,6 @@ impl View {
     }
 }
 
-/// A campaign that cannot be exported.
 #[derive(Debug, thiserror::Error)]
 pub enum CopyError {
     /// This coordinator has no such campaign, or the database failed.
@@ -485,7 +482,6 @@ pub enum CopyError {
     Portable(#[from] PortableError),
 }
 
-/// A campaign that cannot be imported.
 #[derive(Debug, thiserror::Error)]
 pub enum AdoptError {
     #[error(

@@ -14,9 +14,7 @@ use crate::operations::error::QueueError;
 use crate::store::campaigns::Campaign;
 use crate::store::{Doing, StoreError, json};
 
-/// Most jobs that one query returns.
 pub const MAX_JOBS_LISTED: u32 = 1_000;
-/// Most failures that one query returns.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
 /// Conditions on the jobs to list; `None` is no condition.

@@ -26,7 +26,6 @@ pub struct Edition {
     has_stopped: bool,
 }
 
-/// A committed rollout for exports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     pub rollout_id: String,

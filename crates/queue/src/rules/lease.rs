@@ -69,7 +69,6 @@ pub enum JobState {
     Quarantined,
 }
 
-/// A lease: one attempt at one job, by one worker.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
     pub attempt: AttemptId,

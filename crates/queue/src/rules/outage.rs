@@ -42,7 +42,6 @@ pub enum PolicyState {
     /// One job, the probe, is leased; the others wait.
     Probing {
         attempt: AttemptId,
-        /// Error of the last outage.
         reason: String,
     },
 }

@@ -12,7 +12,6 @@ use crate::ids::WorkerId;
 /// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
 pub(crate) struct Demand<'a> {
-    /// The campaign's realisation.
     pub(crate) realisation: Realisation,
     pub(crate) row: &'a ManifestRow,
 }

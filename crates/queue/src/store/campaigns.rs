@@ -48,7 +48,6 @@ pub struct Campaign {
     pub wanted: Wanted,
     /// Priority: jobs of campaigns with a higher priority are leased first.
     pub priority: i32,
-    /// Number of jobs.
     pub jobs: i64,
     pub created_ms: UnixMillis,
     /// Folder of the campaign's files below the artifacts folder: the campaign's original name, or

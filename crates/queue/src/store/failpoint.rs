@@ -20,7 +20,6 @@ pub enum Step {
     Release,
     /// Expired leases are ended.
     Sweep,
-    /// An artifact of a rollout is recorded.
     Artifact,
     CreateCampaign,
     /// Rows are added to a campaign.

@@ -55,7 +55,6 @@ pub(crate) async fn remove_unused(
     .map(drop)
 }
 
-/// An attempt that probes its policy.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Probe {
     pub(crate) campaign: CampaignId,

@@ -31,7 +31,6 @@ pub struct EarlyStop {
     #[sqlx(json)]
     #[serde(flatten)]
     pub stop: Stop,
-    /// Number of all configurations of the campaign.
     pub configurations: u32,
     /// Number of configurations after which the campaign stopped; `None` if it has not stopped.
     pub used: Option<u32>,

@@ -109,7 +109,6 @@ impl Sender {
     }
 }
 
-/// The credentials of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Credentials {
     Nothing,

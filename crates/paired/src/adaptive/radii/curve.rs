@@ -27,7 +27,6 @@ use serde::Serialize;
 use super::search::Search;
 use super::threshold::{Finding, Threshold};
 
-/// One half of all configurations.
 const HALF: f64 = 0.5;
 /// Largest number of fixed-point iterations for censored configurations.
 const MAX_ITERATIONS: u32 = 1_000;
@@ -82,7 +81,6 @@ pub struct Point {
     pub ci95: Option<Interval>,
 }
 
-/// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
     /// Radius at which the curve crosses one half; `None` without a configuration, if fewer than
@@ -99,7 +97,6 @@ pub struct HalfSuccess {
     pub no_interval: Option<NoInterval>,
 }
 
-/// The threshold of one configuration.
 #[derive(Clone, Copy, Debug)]
 enum Survives {
     /// The configuration fails nominally.
@@ -214,7 +211,6 @@ struct Clusters {
     tasks: Vec<Task>,
 }
 
-/// The configurations of one task.
 struct Task {
     n: f64,
     /// Smallest, then largest possible number of configurations that survive up to each radius.

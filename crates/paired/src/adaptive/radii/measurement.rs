@@ -15,7 +15,6 @@ use crate::adaptive::decision::Decision;
 use crate::adaptive::outcomes::Outcomes;
 use crate::adaptive::source::{decisive, rank};
 
-/// A configuration: its task and its number.
 type Configuration = (TaskRef, u16);
 
 /// Outcomes, searches and sample of a campaign whose thresholds are measured.

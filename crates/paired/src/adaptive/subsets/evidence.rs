@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::adaptive::outcomes::Tally;
 
-/// Verdict of the rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -37,7 +36,6 @@ impl Verdict {
     }
 }
 
-/// Rule by which a verdict is reached.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Evidence {

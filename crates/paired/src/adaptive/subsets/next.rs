@@ -42,7 +42,6 @@ impl Strategy {
     pub const ALL: [Self; 2] = [Self::Adaptive, Self::Exhaustive];
 }
 
-/// Rollouts of one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
     pub set: AxisSet,

@@ -16,7 +16,6 @@ pub struct Sample {
     pub budget: u32,
     /// Seed of the random order in which configurations are started.
     pub seed: u64,
-    /// Strategy for each configuration.
     pub strategy: Strategy,
 }
 

@@ -10,10 +10,8 @@ use paired::adaptive::subsets::{Evidence, Explanation, Lattice, Request, Strateg
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Kind of planted rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// A pair fails.
     Pair,
     /// A triple fails, and none of its pairs does.
     Triple,
@@ -161,7 +159,6 @@ impl Rule {
 pub(crate) struct SearchResult {
     /// Number of subsets that were run beyond those of a campaign.
     pub(crate) subsets: usize,
-    /// Number of rollouts that were requested.
     pub(crate) rollouts: u32,
     pub(crate) batches: usize,
     /// The explanation, if there is one.

@@ -56,7 +56,6 @@ pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
     singles.chain([Condition::Simultaneous])
 }
 
-/// True success probabilities of one configuration.
 #[derive(Clone, Copy)]
 struct Probabilities {
     nominal: f64,
@@ -113,7 +112,6 @@ fn normal_points() -> impl Iterator<Item = (f64, f64)> {
 pub(crate) struct Population {
     /// Logit of nominal success in each suite.
     ease: [f64; 4],
-    /// Cost of each condition on the logit.
     costs: [f64; CONDITIONS],
     /// Standard deviations on the logit: of tasks, of a condition in a task, and of a
     /// direction.

@@ -25,7 +25,6 @@ pub(crate) fn row(condition: Condition) -> usize {
     row.unwrap_or(CONDITIONS)
 }
 
-/// One of two policies.
 struct Policy {
     population: Population,
     /// Probability that a failed rollout satisfied one of the goal's two predicates.
