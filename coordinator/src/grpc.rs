@@ -1,10 +1,10 @@
 //! gRPC services: validate requests, call the queue, and convert its results and errors to messages
 //! and statuses. The queue makes all scheduling decisions.
 
+mod archives;
 mod backup;
 mod detached;
 mod failure;
-mod moving;
 mod operator;
 mod read;
 mod streams;

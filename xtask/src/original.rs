@@ -58,7 +58,7 @@ impl Original {
         step("the original's Python packages", || {
             venv::with_undeclared(&dir, &PACKAGES, &ORIGINAL)
         })?;
-        let packages = venv::packages(&python)?;
+        let packages = venv::site_packages(&python)?;
         let package = packages.join("libero/libero");
         link(&package.join("assets"), &assets)?;
         let settings = dir.join("settings");

@@ -68,7 +68,7 @@ pub(crate) fn pip(dir: &Path) -> Command {
 }
 
 /// Returns the folder of an interpreter's installed packages.
-pub(crate) fn packages(python: &Path) -> Result<PathBuf> {
+pub(crate) fn site_packages(python: &Path) -> Result<PathBuf> {
     let print = "import site; print(site.getsitepackages()[0])";
     capture(Command::new(python).args(["-c", print])).map(PathBuf::from)
 }

@@ -13,7 +13,7 @@ use queue::{ARTIFACTS_FOLDER, Portable, PortableError, ROLLOUTS_FILE, film_attem
 use serde::Deserialize;
 use tar::{Archive, Entries, Entry, EntryType};
 
-use super::derived::{self, PROVENANCE, REPORT, SPECIFICATION};
+use super::computed::{self, PROVENANCE, REPORT, SPECIFICATION};
 use super::pack::{CopyError, copy_digesting};
 use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
@@ -80,9 +80,9 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     {
         return Err(altered(SPECIFICATION, "it is of another campaign"));
     }
-    for (member, fresh) in derived::derive(&campaign).await? {
+    for (member, fresh) in computed::compute(&campaign).await? {
         let archived = text(member)?;
-        if let Some(place) = derived::difference(&archived, &fresh) {
+        if let Some(place) = computed::difference(&archived, &fresh) {
             return Err(ArchiveError::Differs {
                 archive: archive(),
                 member,

@@ -78,7 +78,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         source: &arguments.campaign,
         name: &name,
         command: "explain",
-        subject: "transition",
+        sought: "transition",
         purpose: Purpose::Explanation(explanation.clone()),
         record: arguments.record,
         must_exist: arguments.json,

@@ -40,9 +40,8 @@ pub(super) struct Search<'a> {
     pub(super) name: &'a str,
     /// Subcommand that creates and shows the campaign.
     pub(super) command: &'a str,
-    /// Singular noun for the items that the campaign explains or measures: `transition` or
-    /// `threshold`.
-    pub(super) subject: &'a str,
+    /// Noun for what is sought: `transition` or `threshold`.
+    pub(super) sought: &'a str,
     pub(super) purpose: Purpose,
     /// Rollouts to film; `None` stands for the setting of the source campaign.
     pub(super) record: Option<Record>,
@@ -279,7 +278,7 @@ impl Search<'_> {
             "campaign {} takes at most {} for {}{open}",
             self.name,
             counted(prospect.rollouts(), "rollout"),
-            counted(prospect.subjects, self.subject)
+            counted(prospect.sought, self.sought)
         );
         let size = terminal::wrapped("", 2, &size);
         format!("{size}\n{}", forecast::describe(&forecast, &source.policy))

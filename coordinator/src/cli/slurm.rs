@@ -142,13 +142,8 @@ struct GatewayArguments {
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
     /// Further sbatch option for the gateway, such as `--gateway-sbatch=--mem=64G`. (repeatable)
-    #[arg(
-        long,
-        hide_short_help = true,
-        value_name = "OPTION",
-        allow_hyphen_values = true,
-        requires = "policy"
-    )]
+    #[arg(long, hide_short_help = true, value_name = "OPTION", allow_hyphen_values = true)]
+    #[arg(requires = "policy")]
     gateway_sbatch: Vec<String>,
 }
 

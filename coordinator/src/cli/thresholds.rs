@@ -71,7 +71,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         source: &arguments.campaign,
         name: &name,
         command: "thresholds",
-        subject: "threshold",
+        sought: "threshold",
         purpose: Purpose::Thresholds(thresholds.clone()),
         record: Some(Record::None),
         must_exist: arguments.json || arguments.figures.is_some(),

@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use crate::artifacts::put;
 use crate::failpoints::serve;
 use crate::harness::{open_database, rollout_id, small_spec, with};
-use crate::moving::{Bench, members, write};
 use crate::process::Serve;
+use crate::transfers::{Bench, members, write};
 
 /// Alters the lines of an archive's rollouts, and recomputes the archive's table of contents.
 pub(crate) fn alter(archive: &Path, into: &Path, alter: impl FnOnce(&mut Vec<Value>)) {

@@ -25,7 +25,7 @@ impl Queue {
     /// Takes the chosen jobs out of quarantine: all of them, or none if one cannot be. Returns
     /// their number.
     pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
-        let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
+        let mut context = Context::begin(&self.shared, vec![Step::Quarantine]).await?;
         let campaign = context.campaign_named(name).await?;
         check_not_ended(&campaign)?;
         let chosen = match retry {

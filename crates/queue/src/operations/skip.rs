@@ -23,7 +23,7 @@ impl Queue {
         name: &CampaignName,
         names: &[JobName],
     ) -> Result<u64, QueueError> {
-        let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
+        let mut context = Context::begin(&self.shared, vec![Step::Quarantine]).await?;
         let campaign = context.campaign_named(name).await?;
         check_not_ended(&campaign)?;
         let mut skipped = BTreeSet::new();

@@ -30,8 +30,8 @@ pub enum Step {
     DeleteCampaign,
     /// The removal of a deleted campaign's files is recorded as complete.
     FinishRemoval,
-    /// Jobs are taken out of quarantine, or quarantined because an operator skips them.
-    RetryJobs,
+    /// An operator puts jobs into quarantine or takes them out.
+    Quarantine,
     /// A campaign ends early.
     Stop,
 }
@@ -86,7 +86,7 @@ impl Step {
         Step::ChangeCampaign,
         Step::DeleteCampaign,
         Step::FinishRemoval,
-        Step::RetryJobs,
+        Step::Quarantine,
         Step::Stop,
     ];
 }

@@ -1,4 +1,5 @@
-//! Campaigns of policies whose true success probabilities are known.
+//! Campaigns of policies whose true success probabilities are known, for tests and the example
+//! `coverage`.
 
 use std::collections::BTreeMap;
 
