@@ -1,5 +1,6 @@
 //! A policy with a pipeline like that of real policies, in which tests plant mistakes. Its actions
 //! are a smooth function of pixels, weighted by position, of state, instruction and noise.
+//! The gateway's tests include this file, too.
 
 use std::collections::HashMap;
 use std::sync::Mutex;

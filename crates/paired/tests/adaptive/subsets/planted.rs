@@ -1,5 +1,5 @@
 //! Configurations whose outcomes follow a planted rule, so that the findings of a search can be
-//! compared with the truth.
+//! compared with the truth. The example `planted` includes this file, too.
 
 use std::collections::BTreeMap;
 
