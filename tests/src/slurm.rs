@@ -112,10 +112,7 @@ impl Cluster {
         for (node, port) in NODES.iter().zip(ports) {
             std::fs::create_dir(self.path(&format!("spool-{node}"))).expect("a folder");
             // The first node has room for a gateway and a worker, the second for a worker.
-            let resources = match *node == NODES[0] {
-                true => "CPUs=2 Gres=gpu:1",
-                false => "CPUs=1",
-            };
+            let resources = if *node == NODES[0] { "CPUs=2 Gres=gpu:1" } else { "CPUs=1" };
             text += &format!(
                 "NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} \
                  RealMemory=8000 {resources}\n"

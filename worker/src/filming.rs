@@ -116,10 +116,7 @@ pub(crate) fn render_again(
         success = episode.step(action)?;
         show(observe_both(&mut episode)?)?;
     }
-    match success == replay.success {
-        true => Ok(()),
-        false => Err(FilmingError::Differs),
-    }
+    if success == replay.success { Ok(()) } else { Err(FilmingError::Differs) }
 }
 
 /// Renders both cameras at [`PANE_SIDE`] as a policy sees them, for the left and right halves of a

@@ -194,10 +194,7 @@ pub fn run(
 }
 
 fn outcome_word(success: bool) -> &'static str {
-    match success {
-        true => "success",
-        false => "failure",
-    }
+    if success { "success" } else { "failure" }
 }
 
 /// Records the control steps at which the policy is queried.

@@ -346,10 +346,7 @@ impl Run<'_> {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();
         }
-        let recorded: &[Action] = match self.assignment.keep_actions {
-            true => &self.executed,
-            false => &[],
-        };
+        let recorded: &[Action] = if self.assignment.keep_actions { &self.executed } else { &[] };
         // Policies answer with 32-bit floats, so the conversion is exact.
         let actions: Vec<_> =
             recorded.iter().map(|action| action.map(|value| value as f32)).collect();

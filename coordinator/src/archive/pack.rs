@@ -158,10 +158,7 @@ impl<R: Read> Digesting<R> {
 
     /// Attributes an error of a copy from this reader to the side that failed.
     fn copy_error(&self, error: io::Error) -> CopyError {
-        match self.has_failed {
-            true => CopyError::Read(error),
-            false => CopyError::Write(error),
-        }
+        if self.has_failed { CopyError::Read(error) } else { CopyError::Write(error) }
     }
 
     /// Returns the number of bytes read and their SHA-256, hex.

@@ -56,11 +56,7 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let archive = || name.to_owned();
     let films = contents.members[MEMBERS.len()..].iter();
     let films = films.map(|film| (film.name.as_str(), film.bytes));
-    let altered = |member: &str, problem: &str| ArchiveError::Altered {
-        archive: archive(),
-        member: member.to_owned(),
-        problem: problem.to_owned(),
-    };
+    let altered = |member, problem| ArchiveReader { archive: name }.altered(member, problem);
     let text = |member| {
         let text = std::fs::read_to_string(into.join(member));
         text.map_err(|_| altered(member, "it is not UTF-8 text"))

@@ -133,10 +133,7 @@ async fn list(client: &Client, arguments: JobsArguments) -> Result<(), CommandEr
         for job in page.into_iter().take(request.limit as usize - 1) {
             request.after_job_id = job.job_id.0;
             remaining -= 1;
-            match arguments.json {
-                true => listed.jobs.push(job),
-                false => print_line(&summary_line(&job))?,
-            }
+            if arguments.json { listed.jobs.push(job) } else { print_line(&summary_line(&job))? }
         }
         if !is_last && remaining > 0 {
             continue;
@@ -152,10 +149,7 @@ async fn list(client: &Client, arguments: JobsArguments) -> Result<(), CommandEr
 
 async fn show(client: &Client, request: GetJobRequest, json: bool) -> Result<(), CommandError> {
     let (now, details) = client.ask_at(request, Service::get_job).await?;
-    match json {
-        true => json::print(&details),
-        false => Ok(print_line(&describe_job(&details, now)?)?),
-    }
+    if json { json::print(&details) } else { Ok(print_line(&describe_job(&details, now)?)?) }
 }
 
 /// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.

@@ -267,10 +267,7 @@ impl SlurmArguments {
             error => failure(error),
         })?;
         let scheme = endpoint.uri().scheme_str().unwrap_or_default();
-        let expected = match security.is_encrypted() {
-            true => "https",
-            false => "http",
-        };
+        let expected = if security.is_encrypted() { "https" } else { "http" };
         if scheme != expected {
             return Err(usage(anyhow!(
                 "use --connect {}: write a URL that begins with https:// if --tls-cert and \

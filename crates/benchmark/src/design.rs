@@ -123,10 +123,7 @@ impl Design {
         }
         let perturbs_nothing = self.axes.is_empty();
         if perturbs_nothing != self.levels.is_empty() {
-            let missing = match perturbs_nothing {
-                true => "axes",
-                false => "levels",
-            };
+            let missing = if perturbs_nothing { "axes" } else { "levels" };
             return empty(
                 missing,
                 "axes and levels go together: give both, or neither for nominal rollouts",

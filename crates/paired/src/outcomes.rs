@@ -46,10 +46,7 @@ impl Outcome {
 
 impl From<bool> for Outcome {
     fn from(success: bool) -> Self {
-        match success {
-            true => Self::Success,
-            false => Self::Failure,
-        }
+        if success { Self::Success } else { Self::Failure }
     }
 }
 

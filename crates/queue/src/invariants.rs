@@ -273,10 +273,7 @@ pub const INVARIANTS: [Invariant; 20] = [
 /// Checks every invariant of the database in a data folder, or of a database file. Read-only, in
 /// one consistent view; a coordinator may be running on the database.
 pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
-    let file = match path.is_dir() {
-        true => path.join(DATABASE_FILE),
-        false => path.to_owned(),
-    };
+    let file = if path.is_dir() { path.join(DATABASE_FILE) } else { path.to_owned() };
     if !file.is_file() {
         return Err(CheckError::Missing { path: path.to_owned() });
     }

@@ -127,10 +127,7 @@ impl ServerArguments {
                 let accepts_own_user_only = tokens.is_none()
                     && address.ip().to_canonical().is_loopback()
                     && !self.insecure_loopback;
-                let users = match accepts_own_user_only {
-                    true => Users::Own,
-                    false => Users::Any,
-                };
+                let users = if accepts_own_user_only { Users::Own } else { Users::Any };
                 Ok(Security::new(identity, tokens, users))
             }
         }

@@ -89,10 +89,7 @@ impl Latency {
         let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
         let steps =
             |milliseconds: f64| terminal::counted(step(milliseconds).into(), "control step");
-        let rtc = match self.real_time_chunking {
-            true => "uses",
-            false => "does not use",
-        };
+        let rtc = if self.real_time_chunking { "uses" } else { "does not use" };
         format!(
             "latency with {} rollouts at once: median {:.0} ms, {} at {} Hz; 95 % within {:.0} ms, \
              {}; slowest {:.0} ms, {}; it {rtc} real-time chunking",

@@ -101,10 +101,7 @@ impl SearchSetup<'_> {
         let mut closest = start.clone();
         let mut explanations: Vec<Explanation> =
             start.fit.explains.then_some(start).cloned().into_iter().collect();
-        let depth = match self.allows_several {
-            true => MAX_CHANGES - start.changes.len(),
-            false => 1,
-        };
+        let depth = if self.allows_several { MAX_CHANGES - start.changes.len() } else { 1 };
         for _ in 0..depth {
             let mut candidates = vec![];
             for changes in self.extensions(&closest.changes) {

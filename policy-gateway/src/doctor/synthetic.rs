@@ -223,10 +223,7 @@ fn frame(camera: &str, index: usize) -> Vec<u8> {
 impl TableObject {
     fn covers(&self, place: [f64; 2]) -> bool {
         let [x, y] = [0, 1].map(|axis| (place[axis] - self.centre[axis]) / self.half[axis]);
-        match self.is_round {
-            true => x * x + y * y <= 1.0,
-            false => x.abs() <= 1.0 && y.abs() <= 1.0,
-        }
+        if self.is_round { x * x + y * y <= 1.0 } else { x.abs() <= 1.0 && y.abs() <= 1.0 }
     }
 }
 

@@ -85,10 +85,7 @@ impl Batch {
         }
         let uses_opengl =
             simulations.iter().any(|simulation| simulation.get().draws_through_opengl());
-        let threads = match uses_opengl {
-            true => 1,
-            false => threads.min(simulations.len()),
-        };
+        let threads = if uses_opengl { 1 } else { threads.min(simulations.len()) };
         let states = simulations.iter().map(|simulation| simulation.get().state.clone());
         Ok(Self { states: states.collect(), threads })
     }
@@ -344,10 +341,7 @@ impl Outputs<'_> {
             for (to, from) in
                 picture.chunks_exact_mut(row_bytes).zip(frame.rgb.chunks_exact(row_bytes).rev())
             {
-                match view.mirrored {
-                    true => mirror(from, to),
-                    false => to.copy_from_slice(from),
-                }
+                if view.mirrored { mirror(from, to) } else { to.copy_from_slice(from) }
             }
         }
         Ok(())

@@ -77,10 +77,7 @@ impl Simulation {
         hard: bool,
     ) -> PyResult<(Generator<'py>, u32)> {
         let mut rng = generator::read(&generator)?;
-        let kind = match hard {
-            true => Reset::Hard,
-            false => Reset::Soft,
-        };
+        let kind = if hard { Reset::Hard } else { Reset::Soft };
         let (rng, rounds) = self.state.with(py, move |state| {
             state.end_rollout();
             let reset = state.environment.reset(&mut rng, kind, joint_sampler_rounds);
@@ -342,10 +339,7 @@ fn numbers(given: &Numbers<'_>) -> Vec<f64> {
 }
 
 pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
-    match absolute {
-        true => ActionFrame::Absolute,
-        false => ActionFrame::Relative,
-    }
+    if absolute { ActionFrame::Absolute } else { ActionFrame::Relative }
 }
 
 fn object_kind(name: &str) -> PyResult<ObjectKind> {

@@ -106,10 +106,7 @@ impl Session {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
             let printed = fs::read_to_string(&output).unwrap_or_default();
-            let ready = match command.contains("coordinator up") {
-                true => &ALL_READY[..],
-                false => &READY,
-            };
+            let ready = if command.contains("coordinator up") { &ALL_READY[..] } else { &READY };
             if ready.iter().any(|ready| printed.contains(ready))
                 || (is_display && !printed.is_empty())
             {

@@ -90,10 +90,7 @@ impl BareRoot {
 
     /// Returns `unshare`'s options for namespaces in which mounts and `chroot` are allowed.
     fn namespace_options(&self) -> &'static [&'static str] {
-        match self.is_root {
-            true => &["--mount"],
-            false => &["--user", "--map-root-user", "--mount"],
-        }
+        if self.is_root { &["--mount"] } else { &["--user", "--map-root-user", "--mount"] }
     }
 
     /// Returns the command that starts a program of the archive in the root folder; if this

@@ -158,10 +158,7 @@ pub(super) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
         for entry in entries.with_context(|| format!("read {}", path.display()))? {
             let entry = entry?;
             let relative = relative.join(entry.file_name());
-            match entry.file_type()?.is_dir() {
-                true => pending.push(relative),
-                false => found.push(relative),
-            }
+            if entry.file_type()?.is_dir() { pending.push(relative) } else { found.push(relative) }
         }
     }
     found.sort();

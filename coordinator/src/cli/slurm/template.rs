@@ -76,10 +76,7 @@ fn fill_line(line: &str, value: &dyn Fn(&str) -> String) -> String {
 
 /// Quotes a value as one word of the shell.
 pub(super) fn for_shell(value: &str) -> String {
-    match is_plain(value) {
-        true => value.to_owned(),
-        false => format!("'{}'", value.replace('\'', r"'\''")),
-    }
+    if is_plain(value) { value.to_owned() } else { format!("'{}'", value.replace('\'', r"'\''")) }
 }
 
 /// Quotes a value as one word of an `#SBATCH` line, where a backslash escapes the next character,

@@ -57,10 +57,7 @@ impl Selection {
             Self::Pro(filters) => filters.cases(),
             Self::Para(filters) => filters.cases(),
         };
-        match cases.is_empty() {
-            true => Err(SelectionError::Nothing),
-            false => Ok(cases),
-        }
+        if cases.is_empty() { Err(SelectionError::Nothing) } else { Ok(cases) }
     }
 
     /// Returns the rows of a campaign: the unperturbed rollouts, followed by the variants in the

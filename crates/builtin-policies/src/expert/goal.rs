@@ -279,10 +279,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
         Ok((rest - other.pos).horizontal_norm())
     };
     let opposite = -place.slot;
-    Ok(match clearance(opposite)? > clearance(place.slot)? {
-        true => opposite,
-        false => place.slot,
-    })
+    Ok(if clearance(opposite)? > clearance(place.slot)? { opposite } else { place.slot })
 }
 
 fn transfer(

@@ -213,10 +213,7 @@ impl RoutineTask {
                 let widest = entity.half.x.max(entity.half.y);
                 let aside = (world.grip - entity.centre).horizontal_norm();
                 let is_pressing = world.grip.z < to.pos.z + PRESSING_M && aside < widest;
-                match is_pressing {
-                    true => 2,
-                    false => u32::from(is_on_the_way),
-                }
+                if is_pressing { 2 } else { u32::from(is_on_the_way) }
             }
         })
     }

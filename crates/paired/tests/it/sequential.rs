@@ -262,10 +262,7 @@ fn quarantined_rollouts_leave_every_possible_value_in_the_interval() {
         let mut known: Vec<Transition> = Vec::new();
         for unit in order.units() {
             let transition = [Transition::ALL[(unit.0 + unit.1) % 4]];
-            let possible = match unit == quarantined {
-                true => &Transition::ALL[..],
-                false => &transition,
-            };
+            let possible = if unit == quarantined { &Transition::ALL[..] } else { &transition };
             sequential.complete(possible);
             known.extend((unit != quarantined).then_some(transition[0]));
         }

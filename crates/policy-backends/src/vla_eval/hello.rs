@@ -100,10 +100,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         },
         checkpoint: format!("{UNNAMED_CHECKPOINT}, whose HELLO is sha256 {}…", digest(hello)),
         cameras: cameras.iter().map(|(name, _)| camera(name)).collect(),
-        state: match state {
-            true => STATE.map(i32::from).into(),
-            false => vec![],
-        },
+        state: if state { STATE.map(i32::from).into() } else { vec![] },
         horizon: address.execute,
         execute: address.execute,
         // A connection is a session, with chunks, histories and ensembles.

@@ -163,10 +163,7 @@ fn ended_error(campaign: &Campaign) -> QueueError {
 
 /// Refuses to change a campaign that is cancelled or stopped.
 pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
-    match campaign.state.is_over() {
-        true => Err(ended_error(campaign)),
-        false => Ok(()),
-    }
+    if campaign.state.is_over() { Err(ended_error(campaign)) } else { Ok(()) }
 }
 
 impl Context<'_> {

@@ -148,10 +148,7 @@ impl PolicyHealth {
             PolicyState::Paused { .. } => false,
             PolicyState::Probing { .. } => self.is_probe(attempt),
         };
-        match is_new_outage {
-            true => self.paused(error, now, rng),
-            false => self.clone(),
-        }
+        if is_new_outage { self.paused(error, now, rng) } else { self.clone() }
     }
 
     /// Returns the health after an attempt with invalid answers. The policy is paused after several
@@ -172,10 +169,7 @@ impl PolicyHealth {
             PolicyState::Paused { .. } => false,
             PolicyState::Probing { .. } => self.is_probe(attempt),
         };
-        match pauses {
-            true => counted.paused(error, now, rng),
-            false => counted,
-        }
+        if pauses { counted.paused(error, now, rng) } else { counted }
     }
 
     fn paused(&self, error: &str, now: UnixMillis, rng: &mut impl Rng) -> PolicyHealth {

@@ -267,10 +267,7 @@ impl Clusters {
                 ends => ends,
             });
             let [[low, _], [_, high]] = [ends[0]?, ends[1]?];
-            match high > low {
-                true => Ok([low, high]),
-                false => Err(NoInterval::NoSpread),
-            }
+            if high > low { Ok([low, high]) } else { Err(NoInterval::NoSpread) }
         };
         let survival = self.survival(thresholds);
         let shares = self.radii.iter().zip(&survival).enumerate();

@@ -146,10 +146,7 @@ pub(crate) fn confirm(lattice: &Lattice) -> Result<(), Unexplained> {
             _ => return Err(Unexplained::NotConfirmed),
         }
     }
-    match is_waiting {
-        true => Err(Unexplained::AwaitsRepeats),
-        false => Ok(()),
-    }
+    if is_waiting { Err(Unexplained::AwaitsRepeats) } else { Ok(()) }
 }
 
 /// The subsets between one start and the full set, grouped by verdict.
@@ -201,10 +198,7 @@ impl Search {
             let unflipped = self.unflipped.iter().copied();
             let below: Vec<AxisSet> =
                 unflipped.filter(|subset| subset.is_proper_subset(set)).collect();
-            match below.is_empty() {
-                true => vec![self.start],
-                false => maximal(&below),
-            }
+            if below.is_empty() { vec![self.start] } else { maximal(&below) }
         };
         let minimal = minimal(&self.flipping).into_iter();
         minimal

@@ -125,10 +125,7 @@ fn border(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
     let unsettled = not_run.iter().copied().filter(|set| !is_settled(set));
     let unsettled: Vec<AxisSet> = unsettled.collect();
     let (smallest, largest) = (minimal(&unsettled), maximal(&unsettled));
-    match smallest.len() < largest.len() {
-        true => smallest,
-        false => largest,
-    }
+    if smallest.len() < largest.len() { smallest } else { largest }
 }
 
 /// Largest size of a minimal subset that is verified by running all of its subsets.
