@@ -96,7 +96,6 @@ impl Client {
         self.read(&json)
     }
 
-    /// Reads JSON of the coordinator.
     fn read<T: DeserializeOwned>(&self, json: &[u8]) -> Result<T, ClientError> {
         serde_json::from_slice(json).map_err(|error| ClientError::Refused {
             message: format!(

@@ -77,7 +77,6 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// Opens the data folder and starts the queue.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
         remove_partial_files(&config.data)

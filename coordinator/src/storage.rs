@@ -125,7 +125,6 @@ impl Storage {
         Ok((Storage::open(folder)?, name.to_owned()))
     }
 
-    /// Returns the address of the storage as given by the operator.
     pub fn location(&self) -> &str {
         &self.location
     }
@@ -222,7 +221,6 @@ impl Storage {
         }
     }
 
-    /// Removes all objects below a folder.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
         let prefix = self.key(folder);
         let all = self.store.list(Some(&prefix)).map_ok(|object| object.location).boxed();

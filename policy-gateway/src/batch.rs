@@ -55,12 +55,10 @@ impl<T> Queue<T> {
         self.waiting.retain(|(_, query)| !is_abandoned(query));
     }
 
-    /// Removes and returns all waiting queries.
     pub fn drain(&mut self) -> Vec<T> {
         self.waiting.drain(..).map(|(_, query)| query).collect()
     }
 
-    /// Returns the next action at `now` with batches of at most `size`.
     pub fn next(&mut self, size: usize, now: Instant) -> Next<T> {
         let size = size.max(1);
         let Some((oldest, _)) = self.waiting.front() else {

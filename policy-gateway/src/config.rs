@@ -95,7 +95,6 @@ pub enum ConfigError {
 pub struct RouteName(String);
 
 impl RouteName {
-    /// Returns the name as written.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -127,7 +126,6 @@ pub struct Config {
 }
 
 impl Config {
-    /// Checks the routes individually and against each other.
     pub fn new(routes: Vec<RouteSpec>) -> Result<Self, ConfigError> {
         if routes.is_empty() {
             return Err(ConfigError::NoRoute);
@@ -141,7 +139,6 @@ impl Config {
         Ok(Self { routes })
     }
 
-    /// Returns the routes in the given order.
     pub fn routes(&self) -> &[RouteSpec] {
         &self.routes
     }

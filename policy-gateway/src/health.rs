@@ -219,7 +219,6 @@ impl Health {
     }
 }
 
-/// Returns the waits between probes of a server that is out.
 fn waits(cause: &Cause) -> Waits {
     match cause {
         Cause::Unreachable(_) => WAITS,

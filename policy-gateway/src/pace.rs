@@ -29,7 +29,6 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Records that a call with queries was sent.
     pub fn sent(&mut self, now: Instant) {
         if self.in_flight == 0 {
             self.busy_since = Some(now);
@@ -37,7 +36,6 @@ impl Pace {
         self.in_flight += 1;
     }
 
-    /// Records that a call's queries were answered.
     pub fn answered(&mut self, queries: u32, now: Instant) {
         if let Some(began) = self.busy_since.max(self.last_answer) {
             if self.samples.len() == SAMPLES {

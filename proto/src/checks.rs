@@ -61,7 +61,6 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
     })
 }
 
-/// Validates a policy's description of itself.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse { protocol_version, horizon, execute, .. } = *described;
     if protocol_version != PROTOCOL_VERSION {
@@ -116,7 +115,6 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     }
 }
 
-/// Checks that a camera exists and that its frame's size is allowed.
 fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
     let CameraRequest { name, width, height } = camera;
     if !CAMERAS.contains(&name.as_str()) {

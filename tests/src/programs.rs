@@ -117,7 +117,6 @@ pub struct Campaigns {
 }
 
 impl Campaigns {
-    /// Starts both programs, with the coordinator's data in a folder.
     pub fn start(data: &Path) -> Self {
         Self::with_student(data, "builtin:student-boxes")
     }

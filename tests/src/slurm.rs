@@ -225,7 +225,6 @@ impl Cluster {
         }
     }
 
-    /// Returns the queue and the end of the controller's log, for a test that failed.
     pub fn queue_and_log(&self) -> String {
         let queue = self.command("squeue").args(["--all", "--array"]).output();
         let queue = queue.map(|output| String::from_utf8_lossy(&output.stdout).into_owned());

@@ -93,7 +93,6 @@ fn layers() -> Vec<Vec<String>> {
     diagram.trim().lines().map(line).collect()
 }
 
-/// Violations of the layers, one sentence each.
 fn violations(
     layers: &[Vec<String>],
     dependencies: &BTreeMap<String, BTreeSet<String>>,
@@ -138,7 +137,6 @@ fn crates_use_only_crates_on_lower_lines_of_the_diagram() {
     assert!(violations.is_empty(), "{violations:#?}");
 }
 
-/// All sources in a language below a folder, concatenated.
 fn sources(folder: &Path, ending: &str) -> String {
     let mut text = String::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten() {
@@ -152,7 +150,6 @@ fn sources(folder: &Path, ending: &str) -> String {
     text
 }
 
-/// Rust sources of all packages of the workspace.
 fn rust_sources() -> String {
     let mut code = String::new();
     for package in metadata(&["--no-deps"])["packages"].as_array().unwrap() {

@@ -107,7 +107,6 @@ fn ends_as_expected(schedule: &Schedule, slots: SlotKind, expected: &str) -> boo
     is_same
 }
 
-/// Returns the first lines that differ.
 fn difference(expected: &str, outcome: &str) -> String {
     let mut pairs = expected.lines().zip(outcome.lines());
     match pairs.find(|(expected, found)| expected != found) {

@@ -85,7 +85,6 @@ fn create(endpoint: &str) -> Vec<&str> {
     create
 }
 
-/// Returns the report of a campaign run by a worker beside its coordinator.
 fn report_of_one_machine(endpoint: &str) -> String {
     let data = tempfile::tempdir().expect("a folder");
     let campaigns = Campaigns::start(data.path());
@@ -166,7 +165,6 @@ impl ClusterCampaign {
         });
     }
 
-    /// Drains a worker's node and requeues its job.
     fn lose_node(&self, task: &str) {
         let before = self.cluster.job(task);
         let name = format!("NodeName={}", before.node);
@@ -235,7 +233,6 @@ impl ClusterCampaign {
             + &self.command_output(&["report", CAMPAIGN, "--json"])
     }
 
-    /// Stops the coordinator and checks the database.
     fn close(mut self) {
         let data = self.cluster.path("campaigns");
         self.coordinator.signal("-TERM");
@@ -270,7 +267,6 @@ impl ClusterCampaign {
         serde_json::from_str(&report).expect("JSON")
     }
 
-    /// Runs a command against the coordinator and returns its output.
     fn command_output(&self, arguments: &[&str]) -> String {
         let mut command = Command::new(program("coordinator"));
         command.args(arguments).args(["--connect", &self.url]);

@@ -242,7 +242,6 @@ impl From<&PolicyError> for FailureKind {
 }
 
 impl FailureKind {
-    /// Returns the number of queries that a lost policy had answered.
     pub(crate) fn answered_queries(self) -> Option<u32> {
         match self {
             Self::PolicyLost { answered } => Some(answered),

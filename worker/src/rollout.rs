@@ -315,7 +315,6 @@ impl Run<'_> {
         Ok(success)
     }
 
-    /// Renders the scene for the policy and returns its next actions.
     fn query(
         &mut self,
         episode: &mut Episode<'_>,

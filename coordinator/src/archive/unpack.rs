@@ -129,7 +129,6 @@ impl ArchiveReader<'_> {
         }
     }
 
-    /// Reads the table of contents, which is the first member.
     fn read_contents(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
         /// Version fields, parsed first so that another format is reported as such.
         #[derive(Deserialize)]
@@ -299,7 +298,6 @@ impl ArchiveReader<'_> {
         }
     }
 
-    /// Returns the error for a member whose size differs from that in the table of contents.
     fn resized(&self, member: &str, bytes: u64, listed: u64) -> ArchiveError {
         self.altered(member, &format!("it has {bytes} bytes instead of {listed}"))
     }

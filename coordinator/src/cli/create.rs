@@ -387,7 +387,6 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Returns the specification, and the variants that it leaves out.
 fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking), CommandError> {
     let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
     let is_perturbed = !arguments.design.axes.is_empty();

@@ -26,7 +26,6 @@ pub(super) async fn request(client: &Client, campaign: &NewCampaign) -> Result<F
     request_for_suites(client, &campaign.policy, rollouts).await
 }
 
-/// Requests a forecast for the given number of rollouts of each suite.
 pub(super) async fn request_for_suites(
     client: &Client,
     policy: &str,
@@ -42,7 +41,6 @@ pub(super) async fn request_for_suites(
     answer.map_err(|error| format!("failed to {error}"))
 }
 
-/// Describes a forecast, or the error that prevented it, for a terminal.
 pub(super) fn describe(answer: &Result<Forecast, String>, policy: &str) -> String {
     let forecast = match answer {
         Ok(forecast) => forecast,
@@ -80,7 +78,6 @@ pub(super) fn describe(answer: &Result<Forecast, String>, policy: &str) -> Strin
     wrapped("", 2, &words)
 }
 
-/// Prints a dry run as JSON: the campaign, its forecast and its planning.
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<Forecast, String>,
@@ -103,7 +100,6 @@ struct DryRun<'a> {
 }
 
 impl<'a> DryRun<'a> {
-    /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
     fn new(
         campaign: &'a NewCampaign,
         answer: Result<Forecast, String>,

@@ -172,7 +172,6 @@ fn replicate_name(job: &JobLine) -> String {
     rollout_name(&job.rollout_id, job.replicate)
 }
 
-/// Describes the state of a job, such as its lease, backoff or outcome.
 fn describe_state(job: &JobLine) -> String {
     match (job.state.as_str(), &job.worker_id, job.backoff_left_secs, &job.outcome) {
         (_, Some(worker), ..) => format!(

@@ -4,7 +4,6 @@ use serde::Serialize;
 
 use super::command::{CommandError, failure, print_line};
 
-/// Prints an answer as indented JSON.
 pub(super) fn print(answer: &impl Serialize) -> Result<(), CommandError> {
     let text = serde_json::to_string_pretty(answer).map_err(failure)?;
     Ok(print_line(&text)?)

@@ -256,7 +256,6 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// Describes the number of rollouts and a forecast of their duration.
     async fn proposal(
         &self,
         client: &Client,

@@ -241,7 +241,6 @@ impl SlurmArguments {
         Ok(values)
     }
 
-    /// Sets the addresses of the servers, their TLS files and their tokens.
     fn set_servers(&self, values: &mut Values) -> Result<(), CommandError> {
         let endpoint = parse_endpoint(&self.connect).context("use --connect");
         let endpoint = endpoint.map_err(usage)?;

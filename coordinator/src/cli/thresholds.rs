@@ -138,7 +138,6 @@ fn condition(text: &str) -> Result<Condition, &'static str> {
     }
 }
 
-/// Returns a parser of radii within a range.
 fn radius([low, high]: [f64; 2]) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| match text.parse() {
         Ok(radius) if (low..=high).contains(&radius) => Ok(radius),

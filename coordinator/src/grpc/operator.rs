@@ -262,7 +262,6 @@ impl OperatorService for OperatorApi {
     }
 }
 
-/// Answers with a value as JSON.
 fn answer(now: UnixMillis, value: &impl Serialize) -> Answer<wire::Answer> {
     let json = serde_json::to_string(value);
     let json = json.map_err(|error| Status::internal(error.to_string()))?;

@@ -134,7 +134,6 @@ pub(super) fn change(change: i32) -> Result<Change, Status> {
     }
 }
 
-/// Accepts a priority within [`PRIORITIES`].
 pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     if PRIORITIES.contains(&priority) {
         return Ok(priority);
@@ -241,7 +240,6 @@ pub(super) fn rows(rows: Vec<wire::AppendedRow>) -> Result<Vec<AppendedRow>, Sta
     rows.into_iter().enumerate().map(read).collect()
 }
 
-/// Reads the names of 1 to [`MAX_JOBS_RETRIED`] jobs.
 pub(super) fn job_names(jobs: Vec<wire::JobName>) -> Result<Vec<JobName>, Status> {
     match jobs.len() {
         1..=MAX_JOBS_RETRIED => jobs.into_iter().map(job_name).collect(),

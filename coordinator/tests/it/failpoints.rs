@@ -89,7 +89,6 @@ async fn retry_all(
     operator.retry_jobs(request).await.map(|_| ())
 }
 
-/// Archives a campaign and imports it under another name.
 async fn copy(
     operator: &mut OperatorServiceClient<tonic::transport::Channel>,
     campaign: &str,

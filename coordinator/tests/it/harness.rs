@@ -125,7 +125,6 @@ impl Bench {
         Bench { folder, clock, queue, url: format!("http://{address}"), stop, served }
     }
 
-    /// Shuts the coordinator down gracefully.
     pub(crate) async fn stop(self) -> TempDir {
         self.stop.send(()).expect("a running coordinator");
         self.served.join_all().await;
@@ -315,7 +314,6 @@ impl Worker {
         }
     }
 
-    /// Claims exactly one job, which must be available.
     pub(crate) async fn claim_one(&mut self) -> wire::Lease {
         let mut leases = self.claim(1).await;
         assert_eq!(leases.len(), 1, "a job is available");
@@ -433,7 +431,6 @@ impl Worker {
         self.release_after(lease, reason, None).await
     }
 
-    /// Reports that the policy was lost after `answered` queries.
     pub(crate) async fn lose_policy(
         &mut self,
         lease: &wire::Lease,
@@ -550,7 +547,6 @@ pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(options).await.expect("a database")
 }
 
-/// Returns the results of a campaign for a report, as JSON.
 pub(crate) async fn report_json(
     operator: &mut OperatorServiceClient<Channel>,
     campaign: &str,
@@ -564,7 +560,6 @@ pub(crate) async fn report_json(
     json
 }
 
-/// Asserts that the database of a data folder violates no invariant.
 pub(crate) async fn assert_sound(folder: &Path) {
     let violations = queue::invariants::check(folder).await.expect("a database");
     assert_eq!(violations, []);
@@ -595,7 +590,6 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
     rows
 }
 
-/// Returns the SHA-256 of a text, in place of a real digest.
 pub(crate) fn sha(text: &str) -> String {
     use sha2::{Digest, Sha256};
     hex::encode(Sha256::digest(text.as_bytes()))

@@ -139,7 +139,6 @@ fn large_spec() -> Value {
     )
 }
 
-/// Returns the numbers of campaigns and of jobs in a data folder.
 async fn counts(folder: &Path) -> (i64, i64) {
     let pool = open_database(folder).await;
     let counts = "SELECT (SELECT count(*) FROM campaign), (SELECT count(*) FROM job)";

@@ -147,7 +147,6 @@ impl Serve {
         succeed(self.command(&["campaign", "create", "--spec", path]));
     }
 
-    /// Runs another command of the program against this coordinator.
     pub(crate) fn command(&self, arguments: &[&str]) -> Output {
         coordinator(&[arguments, &["--connect", &self.url]].concat())
     }
@@ -199,7 +198,6 @@ pub(crate) fn fits_a_terminal(text: &str) {
     }
 }
 
-/// Returns the specification `plus` of variants of LIBERO-Plus, as the command line prints it.
 #[rustfmt::skip]
 pub(crate) fn plus_spec(variants: &str) -> Value {
     succeed_in_json(coordinator(&[

@@ -38,7 +38,6 @@ struct Report {
     table: String,
 }
 
-/// Returns the report that `coordinator report` computes from the coordinator's answer.
 async fn report(bench: &Bench) -> Report {
     let request = wire::ReportRequest { campaign: "reported".to_owned() };
     let parts = bench.operator().await.report(request).await;

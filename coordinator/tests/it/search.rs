@@ -35,7 +35,6 @@ pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
     }
 }
 
-/// Returns the findings so far of the search of the campaign `first`.
 pub(crate) fn findings(serve: &Serve, command: &str, arguments: &[&str]) -> Value {
     succeed_in_json(serve.command(&[&[command, "first", "--json"], arguments].concat()))
 }
@@ -62,7 +61,6 @@ pub(crate) async fn searched(
     findings
 }
 
-/// Runs a search of the campaign `first` to its end. Returns the findings.
 pub(crate) async fn complete_findings(
     serve: &Serve,
     command: &str,

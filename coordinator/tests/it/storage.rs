@@ -43,7 +43,6 @@ impl Bucket {
         bucket
     }
 
-    /// Returns the keys of the stored objects.
     fn keys(&self) -> Vec<String> {
         let list = send(&format!("http://{}", self.address), "GET /films?list-type=2");
         let body = list.text();
@@ -74,7 +73,6 @@ fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Starts a coordinator that stores its films at `place`.
 fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
     let variables = variables.iter().map(|(name, value)| (name, value));
     Serve::spawn(serve_command(data).env("ROLLOUT_ARTIFACTS", place).envs(variables))

@@ -138,7 +138,6 @@ impl Rollouts {
 }
 
 impl Purpose {
-    /// Returns the name of the source.
     pub fn source(&self) -> &str {
         match self {
             Self::Explanation(Explanation { campaign, .. })

@@ -271,7 +271,6 @@ impl Design {
     }
 }
 
-/// Checks that a single axis can run at a level.
 pub(crate) fn check_at(condition: Condition, level: Level) -> Result<(), DesignError> {
     match condition {
         Condition::Single(axis) if !axis.def().radii.contains(level) => {

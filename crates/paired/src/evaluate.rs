@@ -101,7 +101,6 @@ fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     })
 }
 
-/// Counts the nominal rollouts of each task, for one suite or for all suites.
 fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
     for (&(_, id), &outcome) in &records.outcomes {
@@ -113,7 +112,6 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     tasks.into_values().collect()
 }
 
-/// Computes the cell of all configurations of one level.
 fn cell(
     records: &Records,
     matched: &[Matched],

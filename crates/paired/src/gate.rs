@@ -59,7 +59,6 @@ impl Gate {
         Self::evaluate(GATE_ROLLOUTS, published, nominal)
     }
 
-    /// Evaluates the gate of one suite, with n ≥ [`GATE_ROLLOUTS_OF_A_SUITE`].
     pub fn of_suite(published: f64, nominal: Count) -> Self {
         Self::evaluate(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
     }

@@ -201,7 +201,6 @@ pub struct Records {
 }
 
 impl Records {
-    /// Matches the records of each configuration.
     pub fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
         let mut matching = Self::default();
         for record in records {

@@ -93,7 +93,6 @@ impl OpenpiBackend {
         self.permits.acquire().await.ok()
     }
 
-    /// Connects, and reads the metadata that the server sends first.
     async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
         // A server that has closed all connections has restarted.
         let mut idle = std::mem::take(&mut *self.idle());

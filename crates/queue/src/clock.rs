@@ -107,7 +107,6 @@ pub(crate) fn beginning_at(newest: UnixMillis, clock: Arc<dyn Clock>) -> Arc<dyn
 }
 
 impl ManualClock {
-    /// Creates a clock set to `now`.
     pub fn at(now: UnixMillis) -> ManualClock {
         ManualClock(AtomicI64::new(now.0))
     }

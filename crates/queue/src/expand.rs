@@ -171,7 +171,6 @@ fn order_randomly(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     places.len()
 }
 
-/// Applies a change to a stored specification. Returns the changed specification and its digest.
 pub(crate) fn altered(
     spec: &str,
     change: impl FnOnce(&mut CampaignSpec),
@@ -184,7 +183,6 @@ pub(crate) fn altered(
     Ok((text, digest))
 }
 
-/// Returns the names of the fields in which two specifications differ, for messages.
 pub fn differing_fields(first: &str, second: &str) -> String {
     let fields = |text: &str| match serde_json::from_str(text) {
         Ok(Value::Object(fields)) => fields,

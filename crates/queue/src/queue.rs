@@ -111,7 +111,6 @@ impl Queue {
         }))
     }
 
-    /// Returns the durations of leases, heartbeats and timeouts.
     pub fn timing(&self) -> Timing {
         self.shared.timing
     }

@@ -163,7 +163,6 @@ fn pool_options(connections: u32) -> SqlitePoolOptions {
     SqlitePoolOptions::new().max_connections(connections).max_lifetime(None).idle_timeout(None)
 }
 
-/// Returns the error for a stored value that cannot be decoded.
 pub(crate) fn undecodable(
     error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
 ) -> sqlx::Error {
@@ -427,7 +426,6 @@ pub(crate) async fn applied_migrations(
         .await
 }
 
-/// Returns an empty database in memory with this program's schema.
 async fn fresh_database() -> Result<SqliteConnection, sqlx::Error> {
     let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
     let migrated = MIGRATIONS.run_direct(None, &mut fresh, false).await;

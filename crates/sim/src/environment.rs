@@ -296,7 +296,6 @@ impl Environment {
         output
     }
 
-    /// Records the current state as the observed instant.
     pub(crate) fn record_all(&mut self) {
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;

@@ -58,7 +58,6 @@ impl AnswerPair {
     }
 }
 
-/// Compares the answers of two servers to the same situations.
 pub async fn compare(a: Probe, b: Probe) -> Result<Comparison, ExaminationError> {
     let mut descriptions = description::differences(&a.described, &b.described);
     // They may well differ between two implementations.
@@ -238,7 +237,6 @@ fn unexplained(pair: &AnswerPair, largest: LargestDifference, closest: &Explanat
     Difference::new(Kind::Unexplained, text)
 }
 
-/// Returns the standard deviation of each component over all actions.
 fn standard_deviations(answers: &Answers) -> Limit {
     let rows: Vec<_> = answers.chunks.iter().flatten().collect();
     let count = rows.len().max(1) as f64;

@@ -340,7 +340,6 @@ impl Probe {
         }
     }
 
-    /// Returns the name of a new session.
     fn session(&self) -> String {
         let number = self.sessions.fetch_add(1, Ordering::Relaxed);
         format!("examination {}: {number}", self.run)

@@ -50,7 +50,6 @@ impl ServerPair {
         self.a.situations.len()
     }
 
-    /// Returns the changes that apply to a server's observations.
     pub(crate) fn variants(&self, side: Side) -> Vec<Variant> {
         match side {
             Side::A => Variant::all(&self.a.described, &self.b.described),

@@ -51,7 +51,6 @@ impl Checkpoints {
         }
     }
 
-    /// Returns every replica of every pool.
     pub(super) fn replicas(&self) -> Vec<Arc<Replica>> {
         self.0.values().flat_map(|pool| pool.replicas().iter().cloned()).collect()
     }

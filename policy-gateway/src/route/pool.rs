@@ -178,7 +178,6 @@ impl Pool {
         Ok(Arc::new(described))
     }
 
-    /// Checks that a description agrees with the first description.
     fn agree(&self, replica: &Replica, described: &DescribeResponse) -> Result<(), String> {
         let mut agreed = self.agreed.lock().unwrap_or_else(PoisonError::into_inner);
         let by = replica.to_string();

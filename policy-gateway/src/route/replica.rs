@@ -136,7 +136,6 @@ impl Replica {
         self.last_assigned.store(number, Ordering::Relaxed);
     }
 
-    /// Returns the longest time for which the server may answer no query.
     pub fn answer_within(&self) -> Duration {
         self.answer_within
     }
@@ -314,7 +313,6 @@ impl Replica {
         })
     }
 
-    /// Records what an answer shows about the server's health, and returns the answer.
     fn record_health<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
             Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::NoAnswer),

@@ -17,7 +17,6 @@ use crate::support::{infer, reloadable, reset};
 const TOKEN: &str = "worker-secret-0123456789";
 const WRONG: &str = "wrong-secret-0123456789";
 
-/// Returns an authority with a file of the token.
 fn authority() -> Authority {
     let authority = Authority::new();
     write_private(&authority.path("token"), &format!("worker {TOKEN}\n"));
@@ -56,7 +55,6 @@ impl Server {
     }
 }
 
-/// Sends one query through a gateway that has these credentials for the server.
 async fn send_query(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
     send_query_over("https", server, ca, token_file).await
 }

@@ -20,7 +20,6 @@ pub(crate) fn program(arguments: &[&str]) -> Command {
     command
 }
 
-/// Returns the text after "listening on" in the program's first line.
 pub(crate) fn listening(child: &mut Child) -> String {
     let mut line = String::new();
     let stdout = child.stdout.as_mut().expect("stdout is piped");

@@ -121,7 +121,6 @@ async fn a_changed_description_of_the_only_replica_is_refused_with_the_differenc
     );
 }
 
-/// Returns a route with a checkpoint for each of two suites.
 fn per_suite(goal: &Running, object: &Running) -> RouteSpec {
     let backend = |server: &Running| {
         let text = format!("grpc://{}", server.address);

@@ -362,7 +362,6 @@ impl Bench {
         Ok(timer)
     }
 
-    /// Times the phases of several rollouts and returns medians.
     fn measure(&mut self, rollouts: u32, steps: u32) -> Result<Value> {
         let (mut timers, mut settling) = (Vec::new(), Vec::new());
         for _ in 0..rollouts {

@@ -155,7 +155,6 @@ fn path(hash: &[u8]) -> Vec<[i16; 3]> {
     (0..=STEPS).map(point).collect()
 }
 
-/// Returns the parameters of each perturbed axis as realised values.
 fn realised(assignment: &Assignment) -> Realised {
     let perturbation = &assignment.row.perturbation;
     let mut realised = Realised::default();

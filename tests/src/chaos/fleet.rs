@@ -216,7 +216,6 @@ impl Fleet {
         }
     }
 
-    /// Returns the last lines of the log of all programs.
     pub fn log_tail(&self) -> String {
         let log = std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();

@@ -57,7 +57,6 @@ impl Wire {
         wire
     }
 
-    /// Returns the URL for clients, `http://…`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
@@ -85,7 +84,6 @@ impl Wire {
         self.cut();
     }
 
-    /// Delays every forwarded buffer by the given time.
     pub fn delay(&self, by: Duration) {
         let millis = u64::try_from(by.as_millis()).expect("a short time");
         self.state.delay_ms.store(millis, Ordering::Relaxed);

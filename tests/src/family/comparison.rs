@@ -332,7 +332,6 @@ fn task_of(suite: ProSuite, name: &str) -> Result<TaskRef> {
     task.with_context(|| format!("{suite} has no task {name}"))
 }
 
-/// Returns the task's number in the name of a file of LIBERO-Para.
 fn number_of_task(name: &str) -> Result<usize> {
     let number = name.rsplit_once("_eval").map(|(_, rest)| rest);
     let number = number.and_then(|rest| rest.split_once("_ver"));

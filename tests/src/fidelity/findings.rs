@@ -91,7 +91,6 @@ impl fmt::Display for Worst {
 }
 
 impl Findings {
-    /// Describes each finding beyond its limit.
     pub fn violations(&self, limits: &Limits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |label: &str, worst: &Worst, limit: f64| {

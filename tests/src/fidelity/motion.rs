@@ -78,7 +78,6 @@ fn compare_trajectory(
     Ok(())
 }
 
-/// Compares the readings with those that the original returned at a step.
 fn compare_observation(
     recorded: &Arrays,
     step: usize,

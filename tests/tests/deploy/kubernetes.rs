@@ -39,7 +39,6 @@ struct Checked {
     resources: usize,
 }
 
-/// Checks groups of manifests in one Python process, which takes seconds to start.
 fn check(python: &Path, groups: &[Vec<PathBuf>]) -> Vec<Checked> {
     let mut script = Command::new(python);
     script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/deploy/manifests.py"));

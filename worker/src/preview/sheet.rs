@@ -54,7 +54,6 @@ impl Sheet {
         self.cells.push((label.to_owned(), page));
     }
 
-    /// Composes all cells into one picture, row by row.
     pub(super) fn finish(self) -> Picture {
         let rows = self.cells.len().div_ceil(self.columns);
         let (wide, high) = (self.cell + GAP, self.cell + LABEL_HEIGHT + GAP);

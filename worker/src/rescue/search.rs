@@ -51,7 +51,6 @@ impl Search {
         })
     }
 
-    /// Returns the result once [`Search::next`] has nothing left to try.
     pub(super) fn result(&self) -> SearchResult {
         match self.last_saved() {
             None => SearchResult::NeverSaved,

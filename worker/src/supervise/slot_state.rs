@@ -224,14 +224,12 @@ impl SlotState {
         self.video != Video::None
     }
 
-    /// Records that the process accepts commands.
     pub(crate) fn became_ready(&mut self) {
         if matches!(self.process, ProcessState::Starting { .. }) {
             self.process = ProcessState::Up;
         }
     }
 
-    /// Records the progress of an attempt's rollout.
     pub(crate) fn advanced(&mut self, id: AttemptId, steps: u32, now: Instant) {
         if let Work::Running { attempt, control_steps, progressed_at } = &mut self.work
             && *attempt == id
@@ -242,7 +240,6 @@ impl SlotState {
         }
     }
 
-    /// Records the progress of an attempt's video.
     pub(crate) fn filming_advanced(&mut self, id: AttemptId, frames: u32, now: Instant) {
         if let Video::Filming { attempt, pictures, progressed_at, .. } = &mut self.video
             && *attempt == id

@@ -450,7 +450,6 @@ impl Supervisor {
         }
     }
 
-    /// Describes in a sentence how a rollout was lost.
     fn explain_loss(&self, kind: FailureKind, end: &str) -> String {
         let host = &self.config.identity.host;
         if kind == FailureKind::SlotStuck {

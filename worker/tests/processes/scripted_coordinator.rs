@@ -146,7 +146,6 @@ impl ScriptedCoordinator {
         self.change(|state| state.films.push_back(film));
     }
 
-    /// Reports the lease of this job's attempt as lost from now on.
     pub(crate) fn lose_lease(&self, job: i64) {
         self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
@@ -161,7 +160,6 @@ impl ScriptedCoordinator {
         self.change(|state| state.answers_to_lose += 1);
     }
 
-    /// Fails to store videos from now on.
     pub(crate) fn refuse_artifacts(&self) {
         self.change(|state| state.refuses_artifacts = true);
     }

@@ -69,7 +69,6 @@ impl WorkerProcess {
         signal(self.child.id(), name);
     }
 
-    /// Asks the process to end and returns its output once it has succeeded.
     pub(crate) fn terminated(self) -> String {
         self.signal("TERM");
         self.ended()

@@ -58,7 +58,6 @@ fn verify_digests(unpacked: &Path) -> Result<String> {
     Ok(format!("{listed} files"))
 }
 
-/// Checks that the archive has manual pages and files for users.
 fn check_documents(unpacked: &Path) -> Result<&'static str> {
     for page in ["worker.1", "coordinator-campaign-create.1", "policy-gateway-check.1"] {
         let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
@@ -89,7 +88,6 @@ fn check_versions(root: &Path, bare: &BareRoot) -> Result<String> {
     Ok(expected)
 }
 
-/// Runs a campaign with all three programs of the archive.
 fn run_campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
     let start = |name: &str, arguments: &[&str]| {
         Running::start(name, bare.program(name).args(arguments), logs)

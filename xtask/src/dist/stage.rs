@@ -37,7 +37,6 @@ pub(crate) struct Staged {
     pub(crate) libraries: BTreeSet<String>,
 }
 
-/// Fills the folder with all parts of the release.
 pub(crate) fn fill(root: &Path, cache: &Path, programs: &Path, folder: &Path) -> Result<Staged> {
     let elf = Elf::provide(cache)?;
     let staged = step("programs, libraries", || install(cache, programs, folder, &elf))?;

@@ -58,7 +58,6 @@ fn placeholders(line: &str) -> Vec<&str> {
     parts.filter_map(|part| part.split_once("}}").map(|(name, _)| name)).collect()
 }
 
-/// Replaces each placeholder of a line by `value(name)`.
 fn fill_line(line: &str, value: &dyn Fn(&str) -> String) -> String {
     let mut parts = line.split("{{");
     let mut filled = parts.next().unwrap_or_default().to_owned();

@@ -50,7 +50,6 @@ impl Selection {
         }
     }
 
-    /// Returns the selected rollouts, in the benchmark's order.
     pub fn cases(&self) -> Result<Vec<Case>, SelectionError> {
         let cases = match self {
             Self::Plus(filters) => filters.cases()?,
@@ -110,7 +109,6 @@ impl Selection {
     }
 }
 
-/// Returns the rows of a benchmark's first trials, under its official protocol.
 pub fn rows_of_all(benchmark: Benchmark) -> Vec<ManifestRow> {
     let cases = match benchmark {
         Benchmark::Plus => PlusFilters::default().cases().expect("no variant is named"),

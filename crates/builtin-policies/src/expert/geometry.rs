@@ -91,7 +91,6 @@ pub(crate) struct Quat {
 impl Quat {
     pub(crate) const IDENTITY: Self = Self { w: 1.0, v: Vec3::new(0.0, 0.0, 0.0) };
 
-    /// Returns the rotation by `angle` about the unit vector `axis`.
     pub(crate) fn turn(axis: Vec3, angle: f64) -> Self {
         Self { w: (angle / 2.0).cos(), v: axis * (angle / 2.0).sin() }
     }

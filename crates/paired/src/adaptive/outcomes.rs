@@ -90,7 +90,6 @@ impl<P: Copy + Ord> Outcomes<P> {
         self.tallies(point).requests
     }
 
-    /// Returns the tally of both campaigns' rollouts at a point.
     pub fn both(&self, point: P) -> Tally {
         let Tallies { source, requests } = self.tallies(point);
         Tally {

@@ -25,7 +25,6 @@ pub struct CampaignLook {
     pub levels: BTreeMap<Level, Look>,
 }
 
-/// Returns the order in which a campaign runs its configurations.
 pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<Unit> {
     match stop.strata {
         Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),

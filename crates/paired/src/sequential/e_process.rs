@@ -149,7 +149,6 @@ impl EProcess {
         stratum.sum[1] += value[1];
     }
 
-    /// Returns the e-values of all candidates.
     pub(crate) fn e_values(&self) -> EValues {
         EValues { logs: self.bets.iter().map(|bet| self.log_capital(bet)).collect() }
     }
@@ -330,7 +329,6 @@ mod tests {
         strata.iter().flatten().map(|(value, _)| value).sum()
     }
 
-    /// Returns the e-value of the true total after each round.
     fn true_e_values(strata: &Strata, sizes: &[usize], range: [i64; 2]) -> Vec<f64> {
         let mut process = EProcess::new(sizes, range);
         let mut least = sizes.iter().sum::<usize>() as i64 * range[0];

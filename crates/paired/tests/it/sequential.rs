@@ -61,7 +61,6 @@ impl Population {
         self.units.iter().map(move |(_, transition)| value(measure, *transition))
     }
 
-    /// Returns the total of a measure over all configurations.
     fn total(&self, measure: Measure) -> i64 {
         self.values(measure).sum()
     }
@@ -316,7 +315,6 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
     }
 }
 
-/// Returns every way to replace quarantined rollouts by outcomes.
 fn fillings(outcomes: &[Outcome]) -> Vec<Vec<bool>> {
     let mut all = vec![Vec::new()];
     for outcome in outcomes {

@@ -189,7 +189,6 @@ fn picture(observation: &Observation, index: usize) -> Result<&[u8], String> {
     })
 }
 
-/// Returns the reading at an index of [`STATE`].
 fn reading<const N: usize>(observation: &Observation, index: usize) -> Result<[f64; N], String> {
     let found = observation.state.get(index);
     let values = found.and_then(|reading| reading.values.as_slice().try_into().ok());

@@ -65,7 +65,6 @@ impl Cache {
         }
     }
 
-    /// Marks the transaction as committed.
     pub(super) fn committed(&mut self) {
         self.is_open = false;
     }
@@ -191,7 +190,6 @@ impl Cache {
         self.waiting = None;
     }
 
-    /// Clears everything after a campaign was deleted.
     pub(super) fn clear(&mut self) {
         *self = Cache { is_open: self.is_open, ..Cache::default() };
     }

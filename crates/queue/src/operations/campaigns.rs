@@ -161,7 +161,6 @@ fn ended_error(campaign: &Campaign) -> QueueError {
     }
 }
 
-/// Refuses to change a campaign that is cancelled or stopped.
 pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
     if campaign.state.is_over() { Err(ended_error(campaign)) } else { Ok(()) }
 }

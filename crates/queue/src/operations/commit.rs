@@ -41,7 +41,6 @@ pub struct CommitReply {
 }
 
 impl Context<'_> {
-    /// Stores results that were reported at the same time, and answers each report.
     pub(super) async fn store_results(
         &mut self,
         reports: &[&CommitReport],

@@ -99,7 +99,6 @@ struct Lines {
 }
 
 impl Lines {
-    /// Opens the file in a folder, and reads its first line.
     fn open(folder: &Path) -> Result<(Head, Lines), PortableError> {
         let file = BufReader::new(File::open(folder.join(ROLLOUTS_FILE))?);
         let mut lines = Lines { file, number: 0 };

@@ -152,7 +152,6 @@ macro_rules! job_lines {
 }
 
 impl View {
-    /// Returns jobs of a campaign, in its order of jobs.
     pub async fn jobs(
         &mut self,
         campaign: &Campaign,
@@ -202,7 +201,6 @@ impl View {
         })
     }
 
-    /// Returns one job of a campaign with its manifest row, failed attempts and result.
     pub async fn job_details(
         &mut self,
         campaign: &Campaign,

@@ -94,7 +94,6 @@ impl View {
         Ok(workers)
     }
 
-    /// Returns all policies with their health, by name.
     pub async fn policies(&mut self) -> Result<Vec<PolicyLine>, StoreError> {
         let mut policies: Vec<PolicyLine> = sqlx::query_as(concat!(
             "SELECT p.id, p.endpoint, p.name, ",

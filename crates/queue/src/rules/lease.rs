@@ -234,7 +234,6 @@ impl Job {
         (waits && is_newest && now < cut_off.lease.ceiling).then_some(&cut_off.lease)
     }
 
-    /// Returns the next step of this leased job after its attempt failed.
     pub fn after_failure(
         &self,
         reason: FailureReason,

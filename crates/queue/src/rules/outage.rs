@@ -96,7 +96,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns how many jobs of the policy may be leased.
     pub fn allowance(&self, now: UnixMillis) -> Allowance {
         match &self.state {
             PolicyState::Available => Allowance::Unlimited,
@@ -105,7 +104,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns the health after the probe was leased.
     #[must_use]
     pub fn with_probe(&self, attempt: AttemptId) -> PolicyHealth {
         match &self.state {
@@ -197,7 +195,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns the health after the policy answered a query of this attempt.
     #[must_use]
     pub fn after_answer(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
         if !self.is_probe(attempt) {

@@ -253,7 +253,6 @@ mod tests {
         (Axis::Actuation, 5.0),
     ];
 
-    /// Compares a simultaneous rollout with a sibling that realised one of its axes differently.
     fn difference_from_single(mode: Realisation, axis: Axis) -> Option<String> {
         let other = sibling(&format!("goal/t0/{axis}/L2/c01"), &[(axis, 0.0)], "");
         inconsistency((SIMULTANEOUS, mode), &METRIC_VALUES, "", &other)

@@ -102,7 +102,6 @@ impl Failpoints {
 
 #[cfg(debug_assertions)]
 impl Failpoints {
-    /// Reads [`FAILPOINT_VARIABLE`].
     pub(crate) fn from_environment() -> Failpoints {
         let armed = std::env::var(FAILPOINT_VARIABLE).ok().map(|text| {
             let (point, countdown) = match text.rsplit_once(':') {

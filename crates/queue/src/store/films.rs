@@ -69,7 +69,6 @@ pub(crate) async fn filmed_campaigns(
     .doing("find campaigns that record transitions")
 }
 
-/// Returns all rollouts of a campaign with the fields that filming needs.
 pub(crate) async fn filmable(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -89,7 +88,6 @@ pub(crate) async fn filmable(
     .doing("find rollouts to film")
 }
 
-/// Returns a committed rollout with all inputs of filming.
 pub(crate) async fn film(tx: &mut SqliteConnection, job: JobId) -> Result<Film, StoreError> {
     sqlx::query_as(
         "SELECT r.attempt_id, c.name AS campaign, j.replicate, j.manifest_row, c.realisation,

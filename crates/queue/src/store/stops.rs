@@ -38,7 +38,6 @@ pub struct EarlyStop {
     pub saved: Option<u32>,
 }
 
-/// Records that a campaign may stop early.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -53,7 +52,6 @@ pub(crate) async fn insert(
         .map(drop)
 }
 
-/// Returns the campaigns that may still stop early.
 pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable>, StoreError> {
     sqlx::query_as(
         "SELECT s.campaign_id AS campaign, c.spec -> '$.stop' AS stop FROM stop s
@@ -85,7 +83,6 @@ pub(crate) async fn first_unsettled(
     .doing("find the first rollout without an outcome")
 }
 
-/// Records that a campaign stopped after a number of its configurations.
 pub(crate) async fn stop(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -56,7 +56,6 @@ pub fn digest() -> &'static str {
     FIGURES.lines().next().unwrap_or_default()
 }
 
-/// Returns all paraphrases by task, type and number.
 pub fn inventory() -> &'static [Paraphrase] {
     static INVENTORY: OnceLock<Vec<Paraphrase>> = OnceLock::new();
     INVENTORY.get_or_init(|| {

@@ -162,7 +162,6 @@ impl Survives {
 }
 
 impl Curve {
-    /// Computes the curve of a condition from the thresholds found along its rays.
     pub(crate) fn new(
         condition: Condition,
         search: &Search,
@@ -240,7 +239,6 @@ impl Clusters {
         Self { radii, tasks: tasks.into_values().collect() }
     }
 
-    /// Computes the curve's points and the radius at which it crosses one half.
     fn points(
         &self,
         thresholds: &[(TaskRef, Survives)],

@@ -127,7 +127,6 @@ impl Default for Repeats {
 }
 
 impl Repeats {
-    /// Returns the default rule with at most `most` rollouts.
     pub fn up_to(most: u32) -> Self {
         let default = Self::default();
         Self { batch: default.batch.min(most), most, ..default }
@@ -207,7 +206,6 @@ impl Evidence {
         }
     }
 
-    /// Returns the number of rollouts in the first batch of a subset.
     pub(crate) fn first_batch(&self, role: Role) -> u32 {
         match self {
             Self::Once => 1,

@@ -188,7 +188,6 @@ impl Search {
         search
     }
 
-    /// Returns the minimal subsets that flip the outcome, each with its open subsets.
     pub(crate) fn minimal(&self) -> Vec<MinimalSubset> {
         let open_below = |set: AxisSet| {
             let open = self.open.iter().copied();

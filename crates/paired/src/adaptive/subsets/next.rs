@@ -81,7 +81,6 @@ pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
     Decision::run(sets.into_iter().map(|set| first_request(lattice, set)).collect())
 }
 
-/// Returns the requests for the next batch of each subset that is not decided.
 fn undecided_requests(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) -> Vec<Request> {
     let requests = sets.filter_map(|set| match lattice.verdict(set) {
         Verdict::NotRun => Some(first_request(lattice, set)),

@@ -78,7 +78,6 @@ fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
 }
 
 impl Lattice {
-    /// Returns the largest number of rollouts that may still be requested.
     pub fn most_further_rollouts(&self) -> u32 {
         let sets = self.full().subsets().into_iter().filter(|set| !set.is_empty());
         sets.map(|set| self.evidence().remaining(&self.tally(set), self.role(set))).sum()

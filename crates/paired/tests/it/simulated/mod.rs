@@ -299,7 +299,6 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
     .into()
 }
 
-/// Returns task number `task_index` of a campaign over the first `suites` suites.
 pub(crate) fn task(task_index: usize, suites: usize) -> TaskRef {
     let suite = Suite::ALL[task_index % suites];
     let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);
