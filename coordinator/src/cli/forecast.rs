@@ -83,7 +83,20 @@ pub(super) fn print(
     answer: Result<Forecast, String>,
     planning: &[Planned],
 ) -> Result<(), CommandError> {
-    json::print(&DryRun::new(campaign, answer, planning))
+    let (forecast, no_forecast) = match answer {
+        Ok(forecast) => (Some(forecast), None),
+        Err(problem) => (None, Some(problem)),
+    };
+    json::print(&DryRun {
+        name: campaign.name.to_string(),
+        policy: campaign.policy.clone(),
+        rollouts: campaign.jobs.len(),
+        placebo_rollouts: campaign.jobs.iter().filter(|job| job.is_placebo()).count(),
+        execution: &campaign.execution,
+        planning,
+        forecast,
+        no_forecast,
+    })
 }
 
 /// Output of `campaign create --dry-run --json`; docs/JSON.md has the schema.
@@ -97,27 +110,4 @@ struct DryRun<'a> {
     planning: &'a [Planned],
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
-}
-
-impl<'a> DryRun<'a> {
-    fn new(
-        campaign: &'a NewCampaign,
-        answer: Result<Forecast, String>,
-        planning: &'a [Planned],
-    ) -> DryRun<'a> {
-        let (forecast, no_forecast) = match answer {
-            Ok(forecast) => (Some(forecast), None),
-            Err(problem) => (None, Some(problem)),
-        };
-        DryRun {
-            name: campaign.name.to_string(),
-            policy: campaign.policy.clone(),
-            rollouts: campaign.jobs.len(),
-            placebo_rollouts: campaign.jobs.iter().filter(|job| job.is_placebo()).count(),
-            execution: &campaign.execution,
-            planning,
-            forecast,
-            no_forecast,
-        }
-    }
 }

@@ -81,7 +81,7 @@ async fn a_stateless_policys_query_moves_to_another_replica_after_a_reset_there(
 }
 
 #[tokio::test]
-async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() {
+async fn a_replica_with_other_weights_serves_no_session() {
     let digest = |digest: &str| DescribeResponse {
         checkpoint_digest: digest.to_owned(),
         ..description("p", 1)

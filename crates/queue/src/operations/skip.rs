@@ -28,15 +28,7 @@ impl Queue {
         check_not_ended(&campaign)?;
         let mut skipped = BTreeSet::new();
         for job in names {
-            let JobName { rollout_id, replicate } = job;
-            let tx = &mut context.tx;
-            let found = jobs::by_rollout(tx, campaign.id, rollout_id, *replicate).await?;
-            let Some((id, state)) = found else {
-                return Err(QueueError::UnknownRollout {
-                    campaign: campaign.name.clone(),
-                    job: job.clone(),
-                });
-            };
+            let (id, state) = context.job_named(&campaign, job).await?;
             // A job may be named twice.
             if !skipped.insert(id) {
                 continue;
