@@ -35,9 +35,6 @@ impl Outcome {
 pub type Outcomes = BTreeMap<String, Outcome>;
 
 /// Reads the outcomes of a campaign from a coordinator's data.
-///
-/// # Panics
-/// If the data cannot be read.
 pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
     let path = data.join("coordinator.sqlite");
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path).read_only(true);
@@ -58,9 +55,6 @@ pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
 }
 
 /// Runs a rollout with `worker rollout` and a gateway's `student`.
-///
-/// # Panics
-/// If the rollout has no result.
 pub fn alone(gateway: &str, id: &str, more: &[&str]) -> Outcome {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = Command::new(program("worker"));

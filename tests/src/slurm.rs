@@ -37,9 +37,6 @@ pub struct Job {
 
 impl Cluster {
     /// Starts a cluster.
-    ///
-    /// # Panics
-    /// If the installed programs do not work.
     pub fn start() -> Result<Self, String> {
         for program in PROGRAMS {
             if find(program).is_none() {
@@ -173,17 +170,11 @@ impl Cluster {
     }
 
     /// Runs a command and returns its output.
-    ///
-    /// # Panics
-    /// If the command fails.
     pub fn command_output(&self, program: &str, arguments: &[&str]) -> String {
         succeeded(self.command(program).args(arguments).output().expect(program))
     }
 
     /// Submits a shell command with options of sbatch and returns the job's id.
-    ///
-    /// # Panics
-    /// If sbatch rejects the job.
     pub fn submit(&self, options: &[&str], command: &str) -> String {
         let log = format!("--output={}", self.path("jobs.log").display());
         let wrapped = format!("--wrap={command}");
@@ -210,9 +201,6 @@ impl Cluster {
     }
 
     /// Waits until a condition holds.
-    ///
-    /// # Panics
-    /// If the wait times out.
     pub fn wait_for(&self, goal: &str, condition: impl Fn(&Self) -> bool) {
         let start = Instant::now();
         while !condition(self) {
@@ -272,9 +260,6 @@ impl Drop for Cluster {
 }
 
 /// Returns the standard output of a program.
-///
-/// # Panics
-/// If the program failed.
 pub fn succeeded(output: Output) -> String {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
@@ -282,9 +267,6 @@ pub fn succeeded(output: Output) -> String {
 }
 
 /// Returns this machine's short host name, as the launch scripts determine it.
-///
-/// # Panics
-/// If the command `hostname` fails.
 pub fn host_name() -> String {
     let output = Command::new("hostname").arg("-s").output();
     let name = succeeded(output.expect("hostname runs"));
@@ -292,9 +274,6 @@ pub fn host_name() -> String {
 }
 
 /// Returns free TCP ports.
-///
-/// # Panics
-/// If too few ports are free.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
     listeners.map(|listener| listener.local_addr().expect("an address").port())

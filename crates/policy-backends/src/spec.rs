@@ -51,9 +51,6 @@ impl Kind {
 /// read.
 pub trait Specified: fmt::Debug + fmt::Display + Send + Sync {
     /// Creates the back-end, without connecting.
-    ///
-    /// # Errors
-    /// If the back-end cannot be created.
     fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, OwnError>;
 
     fn is_encrypted(&self) -> bool {
@@ -85,9 +82,6 @@ impl BackendSpec {
     }
 
     /// Creates the back-end, without connecting.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`].
     pub fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
         self.0.open(access).map_err(UnusableBackend::Own)
     }

@@ -37,9 +37,6 @@ struct State {
 
 impl Wire {
     /// Creates a wire without a server.
-    ///
-    /// # Panics
-    /// If there is no free port.
     pub fn new() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let wire =

@@ -124,9 +124,6 @@ pub struct Folder {
 
 impl Folder {
     /// Creates the folder.
-    ///
-    /// # Panics
-    /// If files cannot be written.
     pub fn make() -> Self {
         let network = Network::of_this_machine();
         let lock = (network == Network::Machine).then(|| {

@@ -59,9 +59,6 @@ pub struct Failure {
 
 impl Session {
     /// Starts the shell.
-    ///
-    /// # Panics
-    /// If it cannot be started.
     pub fn start(folder: &Folder) -> Self {
         let mut words = folder.network().wrapper().iter().chain(&["bash", "-c"]);
         let mut program = Program::new(words.next().expect("a program"));

@@ -39,9 +39,6 @@ pub(crate) fn read(mut input: &[u8]) -> Vec<Call<'_>> {
 }
 
 /// Encodes one message of an input.
-///
-/// # Panics
-/// If the message is longer than 65,535 bytes.
 pub(crate) fn write(number: u8, message: &[u8]) -> Vec<u8> {
     let length = u16::try_from(message.len()).expect("a short message");
     [&[number], &length.to_le_bytes()[..], message].concat()

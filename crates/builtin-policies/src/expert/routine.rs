@@ -242,9 +242,6 @@ pub(crate) fn knob_is_on(position: f64) -> bool {
 }
 
 /// Returns true if the hand is at a stove's knob, or leaves it.
-///
-/// # Errors
-/// If the scene lacks the stove or its joint.
 pub(crate) fn is_at_knob(world: &World, stove: &str) -> Result<bool, ExpertError> {
     let Some(leaving) = turn_knob(5, world, stove)? else { return Ok(false) };
     let from = world.grip - leaving.hand.pos;
