@@ -107,8 +107,8 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// Renders the policy's first view in the rollout of a manifest row. Actuation shows only in
-/// motion: for a condition that changes actions, the view after a fixed motion is rendered, also in the
+/// Renders the policy's first view in the rollout of a manifest row. Actuation shows only in motion:
+/// for a condition that changes actions, the view after a fixed motion is rendered, also in the
 /// nominal column, so that the pictures of a row differ in the perturbation only.
 fn picture(
     simulator: &mut Simulator,

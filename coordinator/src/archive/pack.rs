@@ -21,8 +21,8 @@ pub struct Package {
     files: Vec<PathBuf>,
 }
 
-/// Prepares a campaign's archive: computes members from its rows and lists all files. Films are given
-/// with the paths of their files; those whose files are missing are left out.
+/// Prepares a campaign's archive: computes members from its rows and lists all files. Films are
+/// given with the paths of their files; those whose files are missing are left out.
 pub async fn package(
     campaign: Portable,
     films: Vec<(FilmFile, PathBuf)>,

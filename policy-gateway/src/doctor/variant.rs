@@ -30,6 +30,7 @@ pub(crate) enum Turn {
     /// Flip, left to right.
     Mirrored,
     Half,
+    /// Rotation by 90° to the left.
     Left,
     /// Rotation by 90° to the right.
     Right,
