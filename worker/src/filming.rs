@@ -25,11 +25,7 @@ pub(crate) enum FilmingError {
     #[error(transparent)]
     Video(#[from] VideoError),
     #[error("write {}", path.display())]
-    Write {
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
     #[error(
         "simulate the rollout again: its outcome differs from the first time; this is a defect"
     )]

@@ -44,11 +44,7 @@ pub enum RescueError {
     #[error("film the rescue")]
     Film(#[source] Box<dyn std::error::Error + Send + Sync>),
     #[error("write {}", path.display())]
-    Write {
-        path: PathBuf,
-        #[source]
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
 }
 
 /// Content of `rescue.json`. Steps are control steps of the policy, counted from 0.

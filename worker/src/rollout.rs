@@ -61,11 +61,7 @@ pub trait Watcher {
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     #[error("simulate {title}")]
-    Simulator {
-        title: String,
-        #[source]
-        source: SimError,
-    },
+    Simulator { title: String, source: SimError },
     #[error("finish the rollout: {0}")]
     Policy(#[from] PolicyError),
     #[error("finish the rollout: it was abandoned")]

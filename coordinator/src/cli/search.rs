@@ -183,10 +183,10 @@ impl Search<'_> {
             let began = Instant::now();
             if evaluated.replace(counts) != Some(counts) {
                 let subject = client.report(self.name).await?;
-                let source = subject.derived.iter().flat_map(|derived| &derived.records);
+                let mut of_source = subject.derived.iter().flat_map(|derived| &derived.records);
                 let is_open = |record: &paired::Record| record.outcome == Outcome::Missing;
                 // A rollout of the source may have been retried meanwhile.
-                if !source.into_iter().any(is_open) {
+                if !of_source.any(is_open) {
                     let rows = next(&subject, &source_spec)?;
                     if rows.is_empty() && !subject.records.iter().any(is_open) {
                         return Ok(subject);

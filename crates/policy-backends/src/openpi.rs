@@ -76,8 +76,8 @@ impl OpenpiBackend {
     /// Creates a back-end without connecting.
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
-        // openpi's client sends its key with this scheme.
         let kind = ServerKind::Other("the openpi server");
+        // openpi's client sends its key as `Authorization: Api-Key`.
         let server = Server::new(address.host_port.clone(), access, kind, schemes, "Api-Key");
         Ok(Self {
             server: server.ok_or_else(|| OpenpiAddressError { text: address.to_string() })?,

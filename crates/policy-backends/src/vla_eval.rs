@@ -100,8 +100,8 @@ impl VlaEvalBackend {
     /// Creates a back-end without connecting.
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
-        // The protocol has no tokens, but a proxy in front of the server may require one.
         let kind = ServerKind::Other("the vla-eval model server");
+        // The protocol has no tokens, but a proxy in front of the server may require one.
         let server = Server::new(address.host_port.clone(), access, kind, schemes, "Bearer");
         Ok(Self {
             server: server.ok_or_else(|| VlaEvalAddressError { text: address.to_string() })?,

@@ -101,11 +101,7 @@ pub enum OpenError {
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
     #[error("{doing} in the database")]
-    Statement {
-        doing: &'static str,
-        #[source]
-        source: Arc<sqlx::Error>,
-    },
+    Statement { doing: &'static str, source: Arc<sqlx::Error> },
     /// The database file was removed or replaced. SQLite continues with the open file, whose
     /// contents are lost when this process ends.
     #[error(

@@ -21,7 +21,6 @@ pub enum RouteError {
         route: RouteName,
         /// Back-end of the replica, as configured.
         replica: String,
-        #[source]
         source: Box<BackendError>,
     },
     #[error(
@@ -33,7 +32,6 @@ pub enum RouteError {
         /// Back-end of the replica, as configured.
         replica: String,
         query_index: u32,
-        #[source]
         source: ActionFault,
     },
     /// The session is not open: it was never reset, or the gateway restarted or discarded it. The

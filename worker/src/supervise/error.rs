@@ -19,11 +19,7 @@ pub enum SuperviseError {
     #[error("continue: the coordinator stopped this worker because {0}")]
     Stopped(String),
     #[error("take a lease of the coordinator at {url}")]
-    Lease {
-        url: String,
-        #[source]
-        source: AttemptIdError,
-    },
+    Lease { url: String, source: AttemptIdError },
     #[error("continue: a task of this worker panicked ({0}); this is a defect")]
     Panicked(String),
     #[error(

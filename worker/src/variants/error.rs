@@ -20,13 +20,8 @@ pub enum VariantsError {
     SuiteFile {
         path: PathBuf,
         /// Error that names the field and the remedy.
-        #[source]
         source: SuiteFileError,
     },
     #[error("use {}: check its path and permissions", path.display())]
-    File {
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
 }

@@ -39,12 +39,7 @@ pub enum SceneFileError {
         "{doing} {}: choose another folder with ROLLOUT_SCENES, or none with ROLLOUT_SCENES=off",
         path.display()
     )]
-    File {
-        doing: &'static str,
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    File { doing: &'static str, path: PathBuf, source: io::Error },
     #[error(
         "trust {} with scenes: user {owner} owns it and its mode is {mode:o}; it must belong to \
          this user or root, and nobody else may write to it: correct that, or choose another \
