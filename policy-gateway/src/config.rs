@@ -47,12 +47,7 @@ pub enum ConfigError {
     #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
     Unreadable { path: PathBuf, source: std::io::Error },
     #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
-    Toml {
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: usize,
-        problem: String,
-    },
+    Toml { path: PathBuf, line: usize, problem: String },
     #[error("use {path:?}")]
     InFile { path: PathBuf, source: Box<ConfigError> },
     #[error(

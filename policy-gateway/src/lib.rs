@@ -91,10 +91,7 @@ async fn serve(
 #[derive(Debug, Error)]
 pub enum RunError {
     #[error("serve policies: the listening socket failed ({problem})")]
-    Socket {
-        /// Error of the system, as text.
-        problem: String,
-    },
+    Socket { problem: String },
     /// The TLS certificate or the tokens cannot be used.
     #[error(transparent)]
     Security(#[from] SecurityError),

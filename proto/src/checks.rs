@@ -163,11 +163,7 @@ pub enum DescriptionFault {
     #[error("it has no name")]
     Nameless,
     #[error("its {field} has {bytes} bytes, and results hold at most {}", crate::MAX_TEXT_BYTES)]
-    Text {
-        field: &'static str,
-        /// Length of the text, bytes.
-        bytes: usize,
-    },
+    Text { field: &'static str, bytes: usize },
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon { horizon: u32 },
     #[error("it declares {execute} executed actions per query, but a horizon of {horizon}")]

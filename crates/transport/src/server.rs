@@ -74,11 +74,7 @@ pub enum SecurityError {
         "listen on {address}: other machines can reach that, and {missing}; give --tls-cert, \
          --tls-key and --token-file, or --insecure if only trusted people reach this network"
     )]
-    Unguarded {
-        address: SocketAddr,
-        /// Missing protection, in words.
-        missing: &'static str,
-    },
+    Unguarded { address: SocketAddr, missing: &'static str },
     #[error(transparent)]
     Tokens(#[from] TokenError),
     #[error("read {}: give a PEM file that this user may read", path.display())]
@@ -89,12 +85,7 @@ pub enum SecurityError {
         path.display(),
         path.display()
     )]
-    Exposed {
-        path: PathBuf,
-        mode: u32,
-        /// Argument of `chmod` that restricts the permissions.
-        chmod: &'static str,
-    },
+    Exposed { path: PathBuf, mode: u32, chmod: &'static str },
     #[error(
         "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
          key of its first certificate, as PEM"

@@ -17,23 +17,12 @@ use crate::observation_budget::MAX_OBSERVATION_BYTES;
 #[derive(Debug, Error)]
 pub enum RouteError {
     #[error("route {route}{}", replica_problem(replica, source))]
-    Replica {
-        route: RouteName,
-        /// Back-end of the replica, as configured.
-        replica: String,
-        source: Box<BackendError>,
-    },
+    Replica { route: RouteName, replica: String, source: Box<BackendError> },
     #[error(
         "route {route} ({replica}) got an answer to query {query_index} that is no chunk of \
          actions: {source}; `policy-gateway check {replica}` looks for the cause"
     )]
-    Action {
-        route: RouteName,
-        /// Back-end of the replica, as configured.
-        replica: String,
-        query_index: u32,
-        source: ActionFault,
-    },
+    Action { route: RouteName, replica: String, query_index: u32, source: ActionFault },
     /// The session is not open: it was never reset, or the gateway restarted or discarded it. The
     /// episode is lost, through no fault of the policy.
     #[error(
@@ -52,10 +41,7 @@ pub enum RouteError {
         known: String,
     },
     #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one has {bytes}")]
-    Session {
-        /// Length of the name, bytes.
-        bytes: usize,
-    },
+    Session { bytes: usize },
     #[error("route {route} takes no new sessions: it was taken out of the configuration")]
     Retired { route: RouteName },
     #[error(

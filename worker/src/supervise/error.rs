@@ -26,15 +26,9 @@ pub enum SuperviseError {
         "keep slot {slot}: its renderer is `{renderer}` and this worker is registered with \
          `{registered}`; start one worker for each renderer"
     )]
-    Renderers {
-        /// Number of the slot, from 0.
-        slot: usize,
-        renderer: String,
-        registered: String,
-    },
+    Renderers { slot: usize, renderer: String, registered: String },
     #[error("start slot {slot}: the machine's limits allow no further process; use fewer --slots")]
     Exhausted {
-        /// Number of the slot, from 0.
         slot: usize,
         #[source]
         error: io::Error,
@@ -43,9 +37,5 @@ pub enum SuperviseError {
         "keep slot {slot} running: its process ended {MAX_FAILED_STARTS} times in a row without \
          finishing a rollout; the last one {end}"
     )]
-    Slot {
-        /// Number of the slot, from 0.
-        slot: usize,
-        end: String,
-    },
+    Slot { slot: usize, end: String },
 }

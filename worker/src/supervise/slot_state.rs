@@ -72,7 +72,6 @@ pub(crate) enum Work {
     /// The rollout made no progress and its process was killed.
     Stuck {
         attempt: AttemptId,
-        /// Control steps so far, including settling.
         control_steps: u32,
     },
     /// The lease was lost; the process has been asked to abandon the rollout.
@@ -84,7 +83,6 @@ pub(crate) enum Work {
     /// The end of the rollout is being reported to the coordinator.
     Delivering {
         attempt: AttemptId,
-        /// Control steps so far, including settling.
         control_steps: u32,
     },
 }

@@ -17,11 +17,7 @@ pub enum VariantsError {
     #[error(transparent)]
     Task(#[from] SceneError),
     #[error("use {}", path.display())]
-    SuiteFile {
-        path: PathBuf,
-        /// Error that names the field and the remedy.
-        source: SuiteFileError,
-    },
+    SuiteFile { path: PathBuf, source: SuiteFileError },
     #[error("use {}: check its path and permissions", path.display())]
     File { path: PathBuf, source: io::Error },
 }

@@ -162,10 +162,7 @@ pub enum FailureReason {
 /// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
-    Requeue {
-        /// End of the job's back-off, the earliest instant of the next lease.
-        not_before: UnixMillis,
-    },
+    Requeue { not_before: UnixMillis },
     Quarantine,
 }
 

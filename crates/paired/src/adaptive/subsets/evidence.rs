@@ -55,10 +55,7 @@ pub enum Role {
     Transition,
     /// Two or more axes, but not all: any of the `subsets` subsets that the search for minimal
     /// subsets may run.
-    Further {
-        /// Number of subsets with this role in the lattice.
-        subsets: u32,
-    },
+    Further { subsets: u32 },
 }
 
 impl Role {
