@@ -123,7 +123,6 @@ pub trait Actor {
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
-        _suite: &str,
         _instruction: &str,
         _seed: u64,
     ) -> Result<(), PolicyError> {

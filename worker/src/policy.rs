@@ -138,14 +138,13 @@ impl Actor for PolicyClient {
     fn reset(
         &mut self,
         session: PolicySession<'_>,
-        suite: &str,
         instruction: &str,
         seed: u64,
     ) -> Result<(), PolicyError> {
         let request = ResetRequest {
             policy: session.policy.to_owned(),
             session: session.session.to_owned(),
-            suite: suite.to_owned(),
+            suite: session.suite.to_owned(),
             instruction: instruction.to_owned(),
             seed,
         };

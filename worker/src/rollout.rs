@@ -246,7 +246,7 @@ impl Run<'_> {
         let session = self.assignment.policy_session();
         add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
-            self.actor.reset(session, row.suite_name(), &instruction, seed)
+            self.actor.reset(session, &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));

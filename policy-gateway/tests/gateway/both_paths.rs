@@ -125,7 +125,7 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     for worker in workers.borrow_mut().iter_mut() {
         worker.describe(SESSION).expect("a description");
         let instruction = "pick up the milk and place it in the basket";
-        let reset = worker.reset(SESSION, SESSION.suite, instruction, 7);
+        let reset = worker.reset(SESSION, instruction, 7);
         reset.expect("an episode");
     }
     let query = Cell::new(0);

@@ -68,7 +68,7 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
         for (client, episode) in clients.iter_mut().zip(&episodes) {
             let (session, seed) = (episode.policy_session(), episode.seed);
             client.describe(session).expect("a description");
-            let reset = client.reset(session, "libero_object", "stand still", seed);
+            let reset = client.reset(session, "stand still", seed);
             reset.expect("an episode");
         }
         for index in 0..4 {

@@ -78,7 +78,7 @@ fn play(
     let mut policy =
         PolicyClient::new(&assignment.policy_endpoint, &Access::none(), CAMPAIGN_SETTINGS)?;
     let description = policy.describe(session)?;
-    policy.reset(session, session.suite, &row.instruction, assignment.policy_seed)?;
+    policy.reset(session, &row.instruction, assignment.policy_seed)?;
     let mut parts = Parts::default();
     let mut hash = Sha256::new();
     hash.update(row.id.published());

@@ -81,7 +81,6 @@ impl Actor for RecordedActions {
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
-        _suite: &str,
         _instruction: &str,
         _seed: u64,
     ) -> Result<(), PolicyError> {
