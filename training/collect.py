@@ -212,7 +212,6 @@ class Group:
         self._target = np.empty((n, most_frames, CHUNK, ARM + 1), np.float32)
 
     def run(self, until: float) -> None:
-        """Collects until the monotonic clock reads ``until``."""
         try:
             while time.monotonic() < until:
                 try:
@@ -280,7 +279,6 @@ class Group:
         )
 
     def _begin(self, indices: NDArray[np.int64]) -> None:
-        """Begins episodes in the environments ``indices``."""
         self._expert_driver.begin(indices)
         self._alternating_drivers.begin(indices)
         self._student_takes_turns[indices] = self._newest_student.student() is not None
@@ -314,7 +312,6 @@ class Group:
         self._frame_count[indices] += 1
 
     def _end(self, index: int, outcome: Outcome) -> None:
-        """Ends an episode, and passes it to the writer."""
         count = self._frame_count[index]
         self._frame_count[index] = 0
         takes_turns = self._student_takes_turns[index]

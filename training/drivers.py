@@ -65,7 +65,6 @@ class Disturbance:
         self._push_left = np.zeros(n, np.int64)
 
     def begin(self, indices: NDArray[np.int64], disturbed: NDArray[np.bool_]) -> None:
-        """Begins episodes in environments ``indices``."""
         self._disturbed[indices] = disturbed
         self._noise_left[indices] = 0
         self._push_left[indices] = 0
@@ -111,7 +110,6 @@ class ExpertDriver:
         self.driver = np.full(n, Driver.CLEAN, np.uint8)
 
     def begin(self, indices: NDArray[np.int64]) -> None:
-        """Begins episodes in environments ``indices``."""
         disturbed = self._rng.random(len(indices)) >= CLEAN_SHARE
         self._disturbance.begin(indices, disturbed)
         self.driver[indices] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
@@ -138,7 +136,6 @@ class AlternatingDrivers:
         self.driver = np.full(n, Driver.IN_TURNS, np.uint8)
 
     def begin(self, indices: NDArray[np.int64]) -> None:
-        """Begins episodes in environments ``indices``."""
         rng, count = self._rng, len(indices)
         alone = rng.random(count) < ALONE_SHARE
         self._disturbance.begin(indices, rng.random(count) < DISTURBED_SHARE)

@@ -105,8 +105,6 @@ class Encoder(nn.Module):
 
 
 class Network(nn.Module):
-    """The student."""
-
     state_mean: Tensor
     state_std: Tensor
 
@@ -145,7 +143,6 @@ class Network(nn.Module):
 
 
 def parameters(network: nn.Module) -> int:
-    """Returns the number of trainable parameters."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 

@@ -32,8 +32,6 @@ STALL_M = 0.008
 
 
 class Outcome(IntEnum):
-    """End of an episode."""
-
     FAILURE = 0
     SUCCESS = 1
     UNFINISHED = 2
@@ -41,8 +39,6 @@ class Outcome(IntEnum):
 
 
 class Driver(IntEnum):
-    """Driver of an episode."""
-
     CLEAN = 0
     """The expert, undisturbed."""
     DISTURBED = 1

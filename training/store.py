@@ -23,8 +23,6 @@ HELD_OUT_INTERVAL = 50
 
 
 class Batch(NamedTuple):
-    """A batch of n samples."""
-
     pictures: Tensor
     """uint8 [n, 2, 128, 128, 3]"""
     state: Tensor

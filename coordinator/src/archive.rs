@@ -11,16 +11,16 @@
 //! | `rollouts.jsonl` | the campaign's state, then a line per rollout with its attempts and result |
 //! | `artifacts/NAME/…` | the campaign's films |
 
-mod derived;
+mod computed;
 mod pack;
 mod unpack;
 
 use std::io;
 use std::path::PathBuf;
 
-use ::report::DocumentError;
 use benchmark::JsonError;
 use queue::{PortableError, SourceOutcomes, StoreError};
+use report::DocumentError;
 use serde::{Deserialize, Serialize};
 
 use crate::reading::ReadError;
@@ -32,10 +32,7 @@ pub use unpack::{Unpacked, unpack};
 const FORMAT: u32 = 2;
 /// Member that holds the table of contents.
 const CONTENTS_FILE: &str = "archive.json";
-/// Prefix of temporary folders for campaigns being exported or imported.
-pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
-/// Table of contents of an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Contents {
     pub format: u32,
@@ -51,7 +48,6 @@ pub struct Contents {
     pub members: Vec<Member>,
 }
 
-/// File in an archive.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Member {
     pub name: String,

@@ -1,6 +1,7 @@
 //! The command line of `coordinator`: parses the arguments and reports the outcome. The exit code
 //! is 2 for an invalid command and 1 for a command that failed.
 
+mod archives;
 mod backup;
 mod check;
 mod command;
@@ -17,7 +18,6 @@ mod jobs;
 mod json;
 mod line;
 mod manifest;
-mod moving;
 mod operate;
 mod planning;
 mod report;
@@ -52,7 +52,6 @@ pub(crate) struct Arguments {
 }
 
 impl Arguments {
-    /// Returns the clap command, with the environment variables of `serve` in its help.
     fn with_environment() -> clap::Command {
         Self::command().mut_subcommand("serve", terminal::with_variables)
     }
@@ -127,9 +126,9 @@ enum CampaignCommand {
     /// Change the priority, endpoint, policy or name of a campaign, or the endpoint of several.
     Set(set::SetArguments),
     /// Write a campaign with its results and files into one file.
-    Archive(moving::ArchiveArguments),
+    Archive(archives::ArchiveArguments),
     /// Verify an archive and add its campaign.
-    Import(moving::ImportArguments),
+    Import(archives::ImportArguments),
     /// Remove a campaign with its results and files.
     Delete(operate::DeleteArguments),
 }
@@ -189,8 +188,8 @@ async fn campaign(command: CampaignCommand) -> Result<(), CommandError> {
         CampaignCommand::Resume(arguments) => operate::change(arguments, Change::Resume).await,
         CampaignCommand::Cancel(arguments) => operate::change(arguments, Change::Cancel).await,
         CampaignCommand::Set(arguments) => set::set(arguments).await,
-        CampaignCommand::Archive(arguments) => moving::archive(arguments).await,
-        CampaignCommand::Import(arguments) => moving::import(arguments).await,
+        CampaignCommand::Archive(arguments) => archives::archive(arguments).await,
+        CampaignCommand::Import(arguments) => archives::import(arguments).await,
         CampaignCommand::Delete(arguments) => operate::delete(arguments).await,
     }
 }

@@ -22,7 +22,6 @@ pub const RETRY_FOR: Duration = Duration::from_secs(30);
 /// First and longest pause between retries; each pause is twice the previous one.
 const FIRST_PAUSE: Duration = Duration::from_millis(250);
 const LONGEST_PAUSE: Duration = Duration::from_secs(4);
-/// Timeout of one connection attempt.
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Flags and URL prefixes that error messages name.
@@ -41,7 +40,6 @@ pub struct Client {
     peer: Peer,
 }
 
-/// Error of a request to the coordinator.
 #[derive(Debug, thiserror::Error)]
 pub enum ClientError {
     #[error(transparent)]
@@ -58,7 +56,6 @@ pub enum ClientError {
 }
 
 impl Client {
-    /// Creates a client of the coordinator at `url` that retries calls for `retry_for`.
     pub fn new(url: &str, access: &Access, retry_for: Duration) -> Result<Client, ClientError> {
         let endpoint = parse_endpoint(url)?;
         let endpoint = endpoint.connect_timeout(CONNECT_TIMEOUT).tcp_nodelay(true);
@@ -89,7 +86,6 @@ impl Client {
         Ok(self.campaign(name).await?.0)
     }
 
-    /// Returns the current results of a campaign for a report.
     pub async fn report(&self, name: &str) -> Result<Subject, ClientError> {
         let request = wire::ReportRequest { campaign: name.to_owned() };
         let mut parts = self.call(request, Service::report).await?;
@@ -100,7 +96,6 @@ impl Client {
         self.read(&json)
     }
 
-    /// Reads JSON of the coordinator.
     fn read<T: DeserializeOwned>(&self, json: &[u8]) -> Result<T, ClientError> {
         serde_json::from_slice(json).map_err(|error| ClientError::Refused {
             message: format!(

@@ -3,12 +3,12 @@
 
 use std::sync::Arc;
 
-use ::report::ResultRow;
 use benchmark::ManifestRow;
 use futures_util::{Stream, StreamExt, TryStreamExt, stream};
 use queue::ids::CampaignName;
 use queue::read::ExportedRow;
 use queue::{Queue, QueueError};
+use report::ResultRow;
 
 use crate::reading::ReadError;
 

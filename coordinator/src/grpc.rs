@@ -1,10 +1,10 @@
 //! gRPC services: validate requests, call the queue, and convert its results and errors to messages
 //! and statuses. The queue makes all scheduling decisions.
 
+mod archives;
 mod backup;
 mod detached;
 mod failure;
-mod moving;
 mod operator;
 mod read;
 mod streams;
@@ -29,7 +29,6 @@ use worker::WorkerApi;
 /// other messages far less.
 const MAX_WORKER_MESSAGE_BYTES: usize = 2 << 20;
 
-/// Returns the router with the worker service and the operator service of a queue.
 pub(crate) fn services(
     queue: &Arc<Queue>,
     gauges: &Arc<Gauges>,

@@ -16,9 +16,9 @@ mod grpc;
 mod mirror;
 mod page;
 pub mod reading;
-pub mod report;
 mod serve;
 pub mod storage;
+mod subject;
 pub mod video_estimate;
 pub mod words;
 

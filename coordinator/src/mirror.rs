@@ -11,7 +11,6 @@ use queue::{FilmRemoval, LocalFilm, Queue};
 
 use crate::storage::{Storage, StorageError};
 
-/// Interval between two scans for films.
 const SCAN_INTERVAL: Duration = Duration::from_secs(2);
 /// Number of concurrent uploads: several, since the storage's latency exceeds the transfer time of
 /// a film.
@@ -43,7 +42,6 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
     }
 }
 
-/// Moves the films that are in the data folder now.
 async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let describe = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
     let films = queue.local_films().await.map_err(|error| describe(&error))?;

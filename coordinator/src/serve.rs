@@ -34,7 +34,6 @@ const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 const STREAM_WINDOW_BYTES: u32 = 4 << 20;
 const CONNECTION_WINDOW_BYTES: u32 = 16 << 20;
 
-/// Configuration of a coordinator.
 pub struct Config {
     pub data: PathBuf,
     /// Durations of leases, heartbeats and timeouts.
@@ -78,7 +77,6 @@ pub struct Coordinator {
 }
 
 impl Coordinator {
-    /// Opens the data folder and starts the queue.
     pub async fn open(config: Config) -> Result<Coordinator, ServeError> {
         let store = Store::open(&config.data).await?;
         remove_partial_files(&config.data)

@@ -33,7 +33,6 @@ const QUOTED_BYTES: usize = 500;
 #[derive(Clone, Debug)]
 pub struct Storage {
     store: Arc<dyn ObjectStore>,
-    /// Prefix of all keys.
     prefix: Key,
     /// Address of the storage as given by the operator, for messages.
     location: String,
@@ -49,7 +48,6 @@ pub struct ObjectRange {
     pub bytes: BoxedBytes,
 }
 
-/// Stream of an object's bytes.
 pub struct BoxedBytes(pub BoxStream<'static, Result<axum::body::Bytes, StorageError>>);
 
 impl std::fmt::Debug for BoxedBytes {
@@ -127,7 +125,6 @@ impl Storage {
         Ok((Storage::open(folder)?, name.to_owned()))
     }
 
-    /// Returns the address of the storage as given by the operator.
     pub fn location(&self) -> &str {
         &self.location
     }
@@ -224,7 +221,6 @@ impl Storage {
         }
     }
 
-    /// Removes all objects below a folder.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
         let prefix = self.key(folder);
         let all = self.store.list(Some(&prefix)).map_ok(|object| object.location).boxed();
@@ -243,7 +239,6 @@ impl Storage {
         }
     }
 
-    /// Returns the full key of a path within the storage.
     fn key(&self, path: &str) -> Key {
         let parts = path.split('/').filter(|part| !part.is_empty());
         parts.fold(self.prefix.clone(), |key, part| key.join(part))

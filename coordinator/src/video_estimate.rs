@@ -47,7 +47,6 @@ pub fn describe(campaign: &NewCampaign) -> Option<String> {
     }
 }
 
-/// Formats a size in MB or GB.
 fn size(bytes: f64) -> String {
     match bytes {
         1e9.. => format!("{:.1} GB", bytes / 1e9),

@@ -38,7 +38,6 @@ pub fn utc_text(at: UnixMillis) -> String {
     }
 }
 
-/// Describes the assets, simulator, renderer, look and program of a worker.
 pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, look: &str, program: &str) -> String {
     format!("{pack}, MuJoCo {mujoco}, {renderer}, look {look}, program {program}")
 }

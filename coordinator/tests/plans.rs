@@ -289,7 +289,6 @@ async fn wait_for_early_stop(captured: &CapturedStatements) {
     tokio::time::sleep(Duration::from_millis(300)).await;
 }
 
-/// Returns SQLite's plan of a statement, line by line.
 async fn plan(connection: &mut SqliteConnection, statement: &str) -> Vec<String> {
     let explain = format!("EXPLAIN QUERY PLAN {statement}");
     let lines: Vec<(i64, i64, i64, String)> = sqlx::query_as(sqlx::AssertSqlSafe(explain))

@@ -40,8 +40,6 @@ STATE = (State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS)
 
 @dataclass(frozen=True)
 class Size:
-    """Dimensions of a network."""
-
     #: Published number of parameters that affect actions; None for a size that is not published.
     published: int | None
     #: Images per query. The first two are the cameras'; a further one is empty.
@@ -278,7 +276,6 @@ class RandomPolicy(Policy):
         episode.memory = self.words(episode.instruction)
 
     def words(self, instruction: str) -> np.ndarray:
-        """Returns an instruction as tokens, one for each letter."""
         letters = instruction.encode()[: self.size.words].ljust(self.size.words)
         return np.frombuffer(letters, dtype=np.uint8).astype(np.int64)
 

@@ -141,7 +141,6 @@ def received(tmp_path):
 
 @pytest.fixture
 def program():
-    """The program policy-gateway."""
     return gateway_program()
 
 

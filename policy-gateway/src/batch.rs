@@ -4,10 +4,8 @@
 //! A full batch is sent as soon as the server can take one more batch; a partial batch is sent when
 //! the server is idle and the oldest query has waited [`MAX_WAIT`].
 
-use std::{
-    collections::VecDeque,
-    time::{Duration, Instant},
-};
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
 
 pub mod batcher;
 
@@ -26,7 +24,6 @@ pub struct Queue<T> {
     in_flight: usize,
 }
 
-/// Next action of a batcher.
 #[derive(Debug, PartialEq, Eq)]
 pub enum Next<T> {
     /// Send this batch, and call [`Queue::done`] when it has ended.
@@ -58,12 +55,10 @@ impl<T> Queue<T> {
         self.waiting.retain(|(_, query)| !is_abandoned(query));
     }
 
-    /// Removes and returns all waiting queries.
     pub fn drain(&mut self) -> Vec<T> {
         self.waiting.drain(..).map(|(_, query)| query).collect()
     }
 
-    /// Returns the next action at `now` with batches of at most `size`.
     pub fn next(&mut self, size: usize, now: Instant) -> Next<T> {
         let size = size.max(1);
         let Some((oldest, _)) = self.waiting.front() else {

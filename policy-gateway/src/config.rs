@@ -19,18 +19,16 @@
 //! token_file = "gpu4-token"
 //! ```
 
-use std::{
-    collections::BTreeMap,
-    fmt,
-    path::{Path, PathBuf},
-    str::FromStr,
-    time::Duration,
-};
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::time::Duration;
 
 use benchmark::plain_words;
-use policy_backends::{
-    BackendSpec, DEFAULT_ANSWER_WITHIN, recorder::RecordInto, spec::BackendSpecError,
-};
+use policy_backends::recorder::RecordInto;
+use policy_backends::spec::BackendSpecError;
+use policy_backends::{BackendSpec, DEFAULT_ANSWER_WITHIN};
 use serde::Deserialize;
 use thiserror::Error;
 use transport::{Access, AccessError, Role};
@@ -39,7 +37,6 @@ use transport::{Access, AccessError, Role};
 pub const MAX_REPLICAS: usize = 64;
 /// Longest route name, bytes.
 pub const MAX_ROUTE_NAME_BYTES: usize = 64;
-/// Longest `answer_within_secs`.
 const MAX_ANSWER_WITHIN_SECS: f64 = 3600.0;
 
 /// Reason why a configuration is invalid. The message follows "failed to …".
@@ -50,12 +47,7 @@ pub enum ConfigError {
     #[error("read {path:?}: give the path of a gateway's configuration, as in docs/POLICIES.md")]
     Unreadable { path: PathBuf, source: std::io::Error },
     #[error("read line {line} of {path:?} as a gateway's configuration: {problem}")]
-    Toml {
-        path: PathBuf,
-        /// Number of the line, from 1.
-        line: usize,
-        problem: String,
-    },
+    Toml { path: PathBuf, line: usize, problem: String },
     #[error("use {path:?}")]
     InFile { path: PathBuf, source: Box<ConfigError> },
     #[error(
@@ -98,7 +90,6 @@ pub enum ConfigError {
 pub struct RouteName(String);
 
 impl RouteName {
-    /// Returns the name as written.
     pub fn as_str(&self) -> &str {
         &self.0
     }
@@ -130,7 +121,6 @@ pub struct Config {
 }
 
 impl Config {
-    /// Checks the routes individually and against each other.
     pub fn new(routes: Vec<RouteSpec>) -> Result<Self, ConfigError> {
         if routes.is_empty() {
             return Err(ConfigError::NoRoute);
@@ -144,7 +134,6 @@ impl Config {
         Ok(Self { routes })
     }
 
-    /// Returns the routes in the given order.
     pub fn routes(&self) -> &[RouteSpec] {
         &self.routes
     }
@@ -183,7 +172,6 @@ impl AccessFiles {
     }
 }
 
-/// Batching of queries and choice of the replica.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Batching {
@@ -211,7 +199,6 @@ impl Batching {
 }
 
 impl RouteSpec {
-    /// Creates a route of one checkpoint with default settings.
     pub fn new(name: RouteName, replicas: Vec<BackendSpec>) -> Self {
         Self {
             name,
@@ -284,7 +271,6 @@ struct Table {
     token_file: Option<PathBuf>,
 }
 
-/// Reads a configuration from a file.
 pub fn read(path: &Path) -> Result<Config, ConfigError> {
     let text = std::fs::read_to_string(path)
         .map_err(|source| ConfigError::Unreadable { path: path.to_owned(), source })?;

@@ -1,25 +1,26 @@
 //! `policy-gateway check` and `policy-gateway compare`. A server of another protocol, or a built-in
 //! policy, is examined behind a gateway in this process, as workers see it.
 
-use std::{fmt::Display, net::SocketAddr, path::PathBuf, process::ExitCode};
+use std::fmt::Display;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::process::ExitCode;
 
 use anyhow::Context;
 use benchmark::Suite;
 use clap::Args;
-use policy_backends::{BackendSpec, grpc::GrpcAddress};
-use policy_gateway::doctor::{
-    check, compare,
-    latency::measure,
-    probe::{ExaminationError, Probe, Target},
-    report::{self, CheckJson, ComparisonJson, DescribedServer},
-    verdict::Finding,
-};
-use policy_gateway::{
-    config::{AccessFiles, Config, RouteSpec},
-    service::Gateway,
-};
+use policy_backends::BackendSpec;
+use policy_backends::grpc::GrpcAddress;
+use policy_gateway::config::{AccessFiles, Config, RouteSpec};
+use policy_gateway::doctor::latency::measure;
+use policy_gateway::doctor::probe::{ExaminationError, Probe, Target};
+use policy_gateway::doctor::report::{self, CheckJson, ComparisonJson, DescribedServer};
+use policy_gateway::doctor::verdict::Finding;
+use policy_gateway::doctor::{check, compare};
+use policy_gateway::service::Gateway;
 use serde::Serialize;
-use tokio::{net::TcpListener, task::JoinSet};
+use tokio::net::TcpListener;
+use tokio::task::JoinSet;
 use transport::{ClientArguments, Role, Security};
 
 /// Inputs of a server, each of which may have another key.

@@ -10,7 +10,8 @@
 use std::time::{Duration, Instant};
 
 use benchmark::attempt::Waits;
-use policy_backends::{Cause, shorten::shorten};
+use policy_backends::Cause;
+use policy_backends::shorten::shorten;
 
 /// Waits between probes of a server that could not be reached. A recovered server is in use again
 /// within the longest wait.
@@ -41,17 +42,14 @@ const FATAL_PHRASES: [&str; 8] = [
 /// Call that is about to be sent to a server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call<'a> {
-    /// A call for the description, which belongs to no session.
     Describe,
     InSession(&'a str),
 }
 
-/// Kind of an answered call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
     /// Any answer except actions.
     Other,
-    /// An answer to a query, with actions.
     Query,
 }
 
@@ -80,7 +78,6 @@ pub struct Outage {
     failures: u32,
     /// Earliest time of the next probe.
     probe_at: Instant,
-    /// Current probe of the server.
     probe: Option<Probe>,
 }
 
@@ -222,7 +219,6 @@ impl Health {
     }
 }
 
-/// Returns the waits between probes of a server that is out.
 fn waits(cause: &Cause) -> Waits {
     match cause {
         Cause::Unreachable(_) => WAITS,

@@ -4,12 +4,15 @@
 
 #![forbid(unsafe_code)]
 
-use std::{convert::Infallible, pin::Pin, time::Duration};
+use std::convert::Infallible;
+use std::pin::Pin;
+use std::time::Duration;
 
 use policy_backends::http2::{CONNECTION_WINDOW_BYTES, MAX_FRAME_BYTES, STREAM_WINDOW_BYTES};
 use proto::policy::policy_server::PolicyServer;
 use thiserror::Error;
-use tokio::{net::TcpListener, sync::oneshot};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
 use transport::{Incoming, Security, SecurityError, innermost};
 
 use crate::service::Gateway;
@@ -88,10 +91,7 @@ async fn serve(
 #[derive(Debug, Error)]
 pub enum RunError {
     #[error("serve policies: the listening socket failed ({problem})")]
-    Socket {
-        /// Error of the system, as text.
-        problem: String,
-    },
+    Socket { problem: String },
     /// The TLS certificate or the tokens cannot be used.
     #[error(transparent)]
     Security(#[from] SecurityError),

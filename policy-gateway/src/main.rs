@@ -2,32 +2,24 @@
 
 #![forbid(unsafe_code)]
 
-use std::{
-    env::args_os,
-    io::{Write, stdout},
-    net::SocketAddr,
-    path::{Path, PathBuf},
-    pin::pin,
-    process::ExitCode,
-};
+use std::env::args_os;
+use std::io::{Write, stdout};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::pin::pin;
+use std::process::ExitCode;
 
 use anyhow::Context;
-use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand, error::ErrorKind};
-use policy_backends::{
-    BackendSpec,
-    recorder::{DEFAULT_MAX_BYTES, RecordInto},
-    spec,
-};
-use policy_gateway::{
-    config::{self, Config, RouteName, RouteSpec},
-    service::Gateway,
-};
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, FromArgMatches, Parser, Subcommand};
+use policy_backends::recorder::{DEFAULT_MAX_BYTES, RecordInto};
+use policy_backends::{BackendSpec, spec};
+use policy_gateway::config::{self, Config, RouteName, RouteSpec};
+use policy_gateway::service::Gateway;
 use terminal::{number, reader_is_gone};
-use tokio::{
-    net::TcpListener,
-    signal::unix::{Signal, SignalKind, signal},
-    task::JoinSet,
-};
+use tokio::net::TcpListener;
+use tokio::signal::unix::{Signal, SignalKind, signal};
+use tokio::task::JoinSet;
 use transport::{Security, SecurityError, ServerArguments};
 
 use crate::examine::{Check, Compare};

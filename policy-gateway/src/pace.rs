@@ -7,13 +7,10 @@
 //! the longest allowed time since the call was sent. Time in the gateway's own queue does not
 //! count.
 
-use std::{
-    collections::VecDeque,
-    sync::{Mutex, PoisonError},
-    time::{Duration, Instant},
-};
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-/// Number of recent answers in the average.
 const SAMPLES: usize = 32;
 /// Smallest number of answers for an average.
 const MIN_SAMPLES: usize = 8;
@@ -32,7 +29,6 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// Records that a call with queries was sent.
     pub fn sent(&mut self, now: Instant) {
         if self.in_flight == 0 {
             self.busy_since = Some(now);
@@ -40,7 +36,6 @@ impl Pace {
         self.in_flight += 1;
     }
 
-    /// Records that a call's queries were answered.
     pub fn answered(&mut self, queries: u32, now: Instant) {
         if let Some(began) = self.busy_since.max(self.last_answer) {
             if self.samples.len() == SAMPLES {

@@ -3,30 +3,20 @@
 //! replica fails moves to another replica if the policy allows it. The memory of waiting queries is
 //! limited.
 
-use std::{
-    sync::{
-        Arc, Mutex, PoisonError, RwLock,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError, RwLock};
+use std::time::{Duration, Instant};
 
-use policy_backends::{
-    BackendError, UnusableBackend,
-    sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable},
-};
+use policy_backends::sessions::{MAX_SESSION_BYTES, MAX_SESSIONS, SessionTable};
+use policy_backends::{BackendError, UnusableBackend};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 
-use self::{
-    checkpoints::Checkpoints,
-    pool::{Opening, Pool},
-    replica::Replica,
-};
-use crate::{
-    config::{RouteName, RouteSpec},
-    health::Call,
-    observation_budget::ObservationBudget,
-};
+use self::checkpoints::Checkpoints;
+use self::pool::{Opening, Pool};
+use self::replica::Replica;
+use crate::config::{RouteName, RouteSpec};
+use crate::health::Call;
+use crate::observation_budget::ObservationBudget;
 
 mod checkpoints;
 mod error;
@@ -38,7 +28,6 @@ pub use error::RouteError;
 /// Time without a call after which a session no longer counts towards the capacity: the worker of
 /// the session has ended, or simulates for long between queries.
 const SESSION_IDLE: Duration = Duration::from_secs(120);
-/// Interval at which a waiting Reset checks for capacity.
 const RESET_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Name, checkpoints and open sessions of a route.
@@ -50,7 +39,6 @@ pub struct Route {
     retired: AtomicBool,
 }
 
-/// Open session.
 struct Session {
     /// Pool in which the session was opened. If a reload replaces the pool, open sessions keep the
     /// old pool.
@@ -65,7 +53,6 @@ struct Session {
 
 struct SessionState {
     described: Arc<DescribeResponse>,
-    /// Replicas at which the session is open.
     open_on: Vec<Arc<Replica>>,
     last_answer: Option<Answer>,
 }
@@ -123,7 +110,6 @@ impl Route {
         Ok(())
     }
 
-    /// Returns the description of the policy for `suite`.
     pub async fn describe(&self, suite: &str) -> Result<Arc<DescribeResponse>, RouteError> {
         let pool = self.pool(suite)?;
         let mut tried = vec![];

@@ -1,25 +1,23 @@
 //! The gateway's implementation of `rollout.policy.v1`: chooses the route and checks the protocol
 //! version; the route answers the call.
 
-use std::{
-    fmt,
-    sync::{Arc, PoisonError, RwLock},
-};
+use std::fmt;
+use std::sync::{Arc, PoisonError, RwLock};
 
-use policy_backends::{UnusableBackend, description::MAX_BATCH_QUERIES};
+use policy_backends::UnusableBackend;
+use policy_backends::description::MAX_BATCH_QUERIES;
+use proto::policy::policy_server::Policy;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
     InferBatchResponse, InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse,
-    infer_result, policy_server::Policy,
+    infer_result,
 };
 use tokio::task::JoinSet;
 use tonic::{Request, Response, Status};
 
-use crate::{
-    config::{Config, RouteSpec},
-    observation_budget::ObservationBudget,
-    route::{Route, RouteError},
-};
+use crate::config::{Config, RouteSpec};
+use crate::observation_budget::ObservationBudget;
+use crate::route::{Route, RouteError};
 
 /// Largest number of routes that are kept for their open sessions after they were removed from the
 /// configuration. If there are more, the earliest configured of them are dropped.

@@ -61,7 +61,6 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
     })
 }
 
-/// Validates a policy's description of itself.
 pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault> {
     let DescribeResponse { protocol_version, horizon, execute, .. } = *described;
     if protocol_version != PROTOCOL_VERSION {
@@ -116,7 +115,6 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     }
 }
 
-/// Checks that a camera exists and that its frame's size is allowed.
 fn check_camera(camera: &CameraRequest) -> Result<(), DescriptionFault> {
     let CameraRequest { name, width, height } = camera;
     if !CAMERAS.contains(&name.as_str()) {
@@ -165,11 +163,7 @@ pub enum DescriptionFault {
     #[error("it has no name")]
     Nameless,
     #[error("its {field} has {bytes} bytes, and results hold at most {}", crate::MAX_TEXT_BYTES)]
-    Text {
-        field: &'static str,
-        /// Length of the text, bytes.
-        bytes: usize,
-    },
+    Text { field: &'static str, bytes: usize },
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon { horizon: u32 },
     #[error("it declares {execute} executed actions per query, but a horizon of {horizon}")]

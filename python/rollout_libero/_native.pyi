@@ -245,7 +245,7 @@ class Simulation:
     # The last observation.
     def readings(self) -> dict[str, F64]:
         """Returns the robot's readings: eef_pos [3], eef_quat [4], eef_axis_angle [3], joint_pos
-        [7], joint_vel [7], gripper_qpos [2], gripper_qvel [2]."""
+        [7], joint_vel [7], gripper_pos [2], gripper_vel [2]."""
     def body_pose(self, body: str) -> tuple[F64, F64]:
         """Returns position [3] and quaternion [4] of a body."""
     def frame(self, camera: str, width: int, height: int) -> NDArray[np.uint8]:

@@ -120,11 +120,9 @@ class Rows:
         return [self._simulation(row).success() for row in self._ids(None)]
 
     def get_sim_state(self) -> list[NDArray[np.float64]]:
-        """Returns the simulator state of each environment."""
         return [self._simulation(row).state() for row in self._ids(None)]
 
     def close(self) -> None:
-        """Closes all environments and the threads."""
         self._rows.close()
         self._pool.shutdown()
 
@@ -220,7 +218,6 @@ class _Instant:
         self._frames: list[Frames] | None = None
 
     def frames(self, at: int) -> Frames:
-        """Returns an environment's frames."""
         if self._frames is None:
             self._frames = list(self._parallel_map(self._draw, self._views, self._frame_changes))
         return self._frames[at]

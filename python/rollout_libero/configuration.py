@@ -19,8 +19,6 @@ states in turn."""
 
 
 class Start(NamedTuple):
-    """Start of the next rollout."""
-
     row: str
     """JSON for the simulator: a manifest row, or the seed of a sampled placement."""
     init_state: int | None
@@ -75,7 +73,6 @@ class Starts:
 
     @property
     def instruction(self) -> str:
-        """Returns the instruction of the next rollout."""
         return self._task.instruction if self._perturbed is None else self._perturbed["language"]
 
     @property

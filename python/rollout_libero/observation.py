@@ -37,7 +37,6 @@ ACTION_WIDTH = 7
 
 
 def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces.Dict:
-    """Returns the space of observations."""
     frames = {camera: spaces.Box(0, 255, (height, width, 3), np.uint8) for camera in cameras}
     readings = {
         name: spaces.Box(-np.inf, np.inf, (length,), np.float64)

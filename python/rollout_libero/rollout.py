@@ -9,6 +9,8 @@ from rollout_libero.configuration import Start
 
 UNTOUCHED = (native.BusyError, native.ClosedError)
 """Errors that are raised before anything has changed."""
+REFUSED = (*UNTOUCHED, ValueError)
+"""Errors of a call, as opposed to those of the simulation."""
 
 
 @dataclass
@@ -42,7 +44,7 @@ class Rollout:
         busy or closed, does not."""
         self.steps += steps
         truncated = error is None and not success and self.steps >= self.max_steps
-        failed = error is not None and not isinstance(error, (*UNTOUCHED, ValueError))
+        failed = error is not None and not isinstance(error, REFUSED)
         # Another thread may have ended the rollout after this thread found the environment busy.
         self.is_over = self.is_over or success or truncated or failed
         return truncated

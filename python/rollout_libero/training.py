@@ -29,7 +29,7 @@ from rollout_libero.observation import (
     is_absolute,
     is_mirrored,
 )
-from rollout_libero.rollout import UNTOUCHED
+from rollout_libero.rollout import REFUSED
 from rollout_libero.tasks import Task
 
 LOADS = 2
@@ -281,6 +281,6 @@ def _finished(result: Any, rows: Sequence[int], errors: Sequence[Exception | Non
     if not failed:
         return result
     error: Any = next(error for error in errors if error is not None)
-    if not isinstance(error, (*UNTOUCHED, ValueError)):
+    if not isinstance(error, REFUSED):
         error.environments, error.result = failed, result
     raise error

@@ -26,7 +26,6 @@ pub struct Browser {
     requests: Vec<String>,
 }
 
-/// Screen on which a page is displayed.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
     /// Width of the window, CSS pixels.
@@ -48,9 +47,6 @@ pub fn is_installed(test: &str) -> bool {
 
 impl Browser {
     /// Starts the browser with its profile in a folder.
-    ///
-    /// # Panics
-    /// If the browser does not start.
     pub fn start(profile: &Path) -> Self {
         // The browser expects its pipes at file descriptors 3 and 4.
         let mut child = Command::new("sh")
@@ -99,9 +95,6 @@ impl Browser {
     }
 
     /// Navigates to a URL and waits until the page is loaded.
-    ///
-    /// # Panics
-    /// If the page cannot be loaded.
     pub fn go(&mut self, url: &str) {
         let answer = self.command("Page.navigate", &json!({ "url": url }));
         assert_eq!(answer["errorText"], Value::Null, "{url}");
@@ -109,9 +102,6 @@ impl Browser {
     }
 
     /// Evaluates a JavaScript expression on the page.
-    ///
-    /// # Panics
-    /// If the expression throws or the page navigates meanwhile.
     pub fn value(&mut self, expression: &str) -> Value {
         let value = self.try_value(expression);
         value.unwrap_or_else(|error| panic!("{expression}: {error}"))
@@ -129,9 +119,6 @@ impl Browser {
     }
 
     /// Waits until an expression is true.
-    ///
-    /// # Panics
-    /// If the expression throws or the wait times out.
     pub fn wait_for(&mut self, expression: &str) {
         let start = Instant::now();
         // Evaluation fails while the browser navigates to another page.
@@ -144,7 +131,6 @@ impl Browser {
         }
     }
 
-    /// Presses a key in the element that has the focus.
     pub fn press(&mut self, key: &str) {
         for kind in ["keyDown", "keyUp"] {
             let event = json!({ "type": kind, "key": key, "code": key });
@@ -153,9 +139,6 @@ impl Browser {
     }
 
     /// Clicks at the position of an element with a simulated mouse.
-    ///
-    /// # Panics
-    /// If there is no such element.
     pub fn click(&mut self, selector: &str) {
         let place = self.value(&format!(
             "(() => {{ const e = document.querySelector({selector:?}); \
@@ -170,7 +153,6 @@ impl Browser {
         }
     }
 
-    /// Changes the screen that the page is shown on.
     pub fn set_screen(&mut self, screen: Screen) {
         let size = json!({
             "width": screen.width, "height": screen.height, "deviceScaleFactor": 1,

@@ -9,17 +9,11 @@ use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
 /// Opens the unpacked packages of robosuite and LIBERO, which every test of the simulator needs.
-///
-/// # Panics
-/// If the sources are missing.
 pub fn sources() -> Sources {
     Sources::open(&Sources::default_dir()).expect("the sources; run `cargo xtask setup`")
 }
 
 /// Opens the built-in asset pack.
-///
-/// # Panics
-/// If the pack cannot be unpacked.
 pub fn primitives(sources: &Sources) -> AssetPack {
     AssetPack::open("primitives", sources).expect("the built-in pack")
 }
@@ -67,9 +61,6 @@ pub fn shared(folder: &str, test: &str) -> Option<PathBuf> {
 
 /// Makes a folder of assets with links to a pack's files. The folders `writable` inside it are real
 /// folders instead of links, so that files can be added to them.
-///
-/// # Panics
-/// If the pack cannot be read or the folder cannot be written.
 pub fn folder_with_links(pack: &Path, writable: &[&str]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a folder");
     for subfolder in [&[""], writable].concat() {

@@ -4,13 +4,11 @@ use std::fmt;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Clock for timing work.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Clock {
     /// CPU time of the calling thread, hardly affected by other programs. Only for work that
     /// runs entirely on that thread.
     ThreadCpu,
-    /// Wall time.
     Wall,
 }
 
@@ -28,7 +26,6 @@ impl fmt::Display for Clock {
 }
 
 impl Clock {
-    /// Short name of the clock, for JSON reports.
     pub fn name(self) -> &'static str {
         match self {
             Self::ThreadCpu => "processor time of the thread",
@@ -46,7 +43,6 @@ impl Clock {
         time.tv_sec as f64 * 1e3 + time.tv_nsec as f64 / 1e6
     }
 
-    /// Runs work and returns its duration, milliseconds, and its result.
     pub fn time<T>(self, work: impl FnOnce() -> T) -> (f64, T) {
         let start = self.now_millis();
         let result = work();

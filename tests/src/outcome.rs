@@ -17,7 +17,6 @@ pub struct Outcome {
     pub steps: i64,
     /// Digests of the scene, the initial state and the policy's first frames.
     pub digests: [String; 3],
-    /// Prompt that the policy got.
     pub prompt: String,
 }
 
@@ -33,13 +32,9 @@ impl Outcome {
     }
 }
 
-/// Outcomes by rollout id.
 pub type Outcomes = BTreeMap<String, Outcome>;
 
 /// Reads the outcomes of a campaign from a coordinator's data.
-///
-/// # Panics
-/// If the data cannot be read.
 pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
     let path = data.join("coordinator.sqlite");
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path).read_only(true);
@@ -60,9 +55,6 @@ pub async fn stored(data: &Path, campaign: &str) -> Outcomes {
 }
 
 /// Runs a rollout with `worker rollout` and a gateway's `student`.
-///
-/// # Panics
-/// If the rollout has no result.
 pub fn alone(gateway: &str, id: &str, more: &[&str]) -> Outcome {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = Command::new(program("worker"));

@@ -10,9 +10,6 @@ const PATIENCE: Duration = Duration::from_secs(300);
 
 /// Returns the path of the program `name`: in the folder that `ROLLOUT_PROGRAMS` names, else as
 /// built with this package.
-///
-/// # Panics
-/// If the program has not been built.
 pub fn program(name: &str) -> PathBuf {
     let this_program = std::env::current_exe().expect("this program's path");
     let configured = std::env::var_os("ROLLOUT_PROGRAMS").map(PathBuf::from);
@@ -40,9 +37,6 @@ pub struct Process {
 
 impl Process {
     /// Starts a server and waits for its "listening on" line.
-    ///
-    /// # Panics
-    /// If the server exits or prints a different line.
     pub fn serve(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().expect("the program starts");
         let stdout = child.stdout.take().expect("a pipe");
@@ -55,9 +49,6 @@ impl Process {
     }
 
     /// Starts a worker.
-    ///
-    /// # Panics
-    /// If it cannot be started.
     pub fn worker(coordinator: &str, slots: u32, assets: &str) -> Self {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", coordinator, "--slots", &slots.to_string()]);
@@ -65,9 +56,6 @@ impl Process {
     }
 
     /// Starts a program and discards its standard output.
-    ///
-    /// # Panics
-    /// If it cannot be started.
     pub fn start(command: &mut Command) -> Self {
         let child = command.stdout(Stdio::null()).spawn().expect("the program starts");
         Self { child, url: String::new() }
@@ -78,9 +66,6 @@ impl Process {
     }
 
     /// Waits until the process exits.
-    ///
-    /// # Panics
-    /// If its exit status is not success.
     pub fn wait(&mut self) {
         let status = self.end();
         assert!(status.success(), "the program ended with {status}");
@@ -92,9 +77,6 @@ impl Process {
     }
 
     /// Sends a signal, for example `-KILL`.
-    ///
-    /// # Panics
-    /// If the signal cannot be sent.
     pub fn signal(&self, name: &str) {
         let status = Command::new("kill").args([name, &self.child.id().to_string()]).status();
         assert!(status.expect("kill runs").success());
@@ -117,7 +99,6 @@ pub struct Campaigns {
 }
 
 impl Campaigns {
-    /// Starts both programs, with the coordinator's data in a folder.
     pub fn start(data: &Path) -> Self {
         Self::with_student(data, "builtin:student-boxes")
     }
@@ -140,13 +121,11 @@ impl Campaigns {
         let _ = self.coordinator.child.wait();
     }
 
-    /// Restarts a killed coordinator on its data and address.
     pub fn restart_coordinator(&mut self, data: &Path) {
         let address = self.coordinator.url.trim_start_matches("http://").to_owned();
         self.coordinator = serve(data, &address);
     }
 
-    /// Starts a worker with simulated slots and additional environment variables.
     pub fn simulated_worker(&self, slots: u32, environment: &[(&str, &str)]) -> Process {
         let mut command = Command::new(program("worker"));
         command.args(["--connect", &self.coordinator.url, "--assets", "primitives"]);
@@ -155,7 +134,6 @@ impl Campaigns {
         Process::start(command.envs(environment.iter().copied()))
     }
 
-    /// Calls `coordinator ARGUMENTS --connect …`.
     pub fn call(&self, arguments: &[&str]) -> Output {
         Command::new(program("coordinator"))
             .args(arguments)
@@ -165,9 +143,6 @@ impl Campaigns {
     }
 
     /// Calls the coordinator like [`call`](Self::call) and returns its output.
-    ///
-    /// # Panics
-    /// If the command fails.
     pub fn succeed(&self, arguments: &[&str]) -> String {
         let output = self.call(arguments);
         let errors = String::from_utf8_lossy(&output.stderr);
@@ -189,9 +164,6 @@ impl Campaigns {
 
     /// Waits until a campaign has `count` committed rollouts or is finished; `None` waits for the
     /// end.
-    ///
-    /// # Panics
-    /// If the wait times out.
     pub fn wait_for_commits(&self, name: &str, count: Option<usize>) {
         let start = Instant::now();
         loop {
@@ -208,9 +180,6 @@ impl Campaigns {
 
     /// Returns a campaign's results as the rows of `coordinator export`, sorted and without wall
     /// times.
-    ///
-    /// # Panics
-    /// If the results are not valid JSON.
     pub fn outcomes(&self, name: &str) -> Vec<String> {
         let export = self.succeed(&["export", name, "--format", "jsonl"]);
         let mut rows: Vec<String> = export

@@ -12,14 +12,11 @@ use std::time::{Duration, Instant};
 pub const NODES: [&str; 2] = ["n1", "n2"];
 /// Partitions; jobs in the second preempt jobs in the first.
 pub const PARTITIONS: [&str; 2] = ["low", "high"];
-/// Required programs of Slurm and munge.
 const PROGRAMS: [&str; 8] =
     ["munged", "slurmctld", "slurmd", "sbatch", "scancel", "scontrol", "sinfo", "squeue"];
 /// Debian's folder of daemons, which may be missing from `PATH`.
 const DAEMON_FOLDER: &str = "/usr/sbin";
-/// Timeout of the cluster's operations.
 const PATIENCE: Duration = Duration::from_secs(300);
-/// Timeout of the end of the cluster's jobs.
 const JOB_END_TIMEOUT: Duration = Duration::from_secs(40);
 
 /// A running cluster; its jobs and daemons are ended when it is dropped.
@@ -40,9 +37,6 @@ pub struct Job {
 
 impl Cluster {
     /// Starts a cluster.
-    ///
-    /// # Panics
-    /// If the installed programs do not work.
     pub fn start() -> Result<Self, String> {
         for program in PROGRAMS {
             if find(program).is_none() {
@@ -115,10 +109,7 @@ impl Cluster {
         for (node, port) in NODES.iter().zip(ports) {
             std::fs::create_dir(self.path(&format!("spool-{node}"))).expect("a folder");
             // The first node has room for a gateway and a worker, the second for a worker.
-            let resources = match *node == NODES[0] {
-                true => "CPUs=2 Gres=gpu:1",
-                false => "CPUs=1",
-            };
+            let resources = if *node == NODES[0] { "CPUs=2 Gres=gpu:1" } else { "CPUs=1" };
             text += &format!(
                 "NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} \
                  RealMemory=8000 {resources}\n"
@@ -179,17 +170,11 @@ impl Cluster {
     }
 
     /// Runs a command and returns its output.
-    ///
-    /// # Panics
-    /// If the command fails.
     pub fn command_output(&self, program: &str, arguments: &[&str]) -> String {
         succeeded(self.command(program).args(arguments).output().expect(program))
     }
 
     /// Submits a shell command with options of sbatch and returns the job's id.
-    ///
-    /// # Panics
-    /// If sbatch rejects the job.
     pub fn submit(&self, options: &[&str], command: &str) -> String {
         let log = format!("--output={}", self.path("jobs.log").display());
         let wrapped = format!("--wrap={command}");
@@ -216,9 +201,6 @@ impl Cluster {
     }
 
     /// Waits until a condition holds.
-    ///
-    /// # Panics
-    /// If the wait times out.
     pub fn wait_for(&self, goal: &str, condition: impl Fn(&Self) -> bool) {
         let start = Instant::now();
         while !condition(self) {
@@ -231,7 +213,6 @@ impl Cluster {
         }
     }
 
-    /// Returns the queue and the end of the controller's log, for a test that failed.
     pub fn queue_and_log(&self) -> String {
         let queue = self.command("squeue").args(["--all", "--array"]).output();
         let queue = queue.map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
@@ -279,9 +260,6 @@ impl Drop for Cluster {
 }
 
 /// Returns the standard output of a program.
-///
-/// # Panics
-/// If the program failed.
 pub fn succeeded(output: Output) -> String {
     let errors = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{errors}");
@@ -289,9 +267,6 @@ pub fn succeeded(output: Output) -> String {
 }
 
 /// Returns this machine's short host name, as the launch scripts determine it.
-///
-/// # Panics
-/// If the command `hostname` fails.
 pub fn host_name() -> String {
     let output = Command::new("hostname").arg("-s").output();
     let name = succeeded(output.expect("hostname runs"));
@@ -299,9 +274,6 @@ pub fn host_name() -> String {
 }
 
 /// Returns free TCP ports.
-///
-/// # Panics
-/// If too few ports are free.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
     listeners.map(|listener| listener.local_addr().expect("an address").port())

@@ -41,9 +41,6 @@ pub const TARGETS: [Target; 15] = [
 ];
 
 /// Returns the target with this name.
-///
-/// # Panics
-/// If there is no such target.
 pub fn named(name: &str) -> Target {
     let found = TARGETS.into_iter().find(|target| target.name == name);
     found.unwrap_or_else(|| panic!("there is no target {name}"))

@@ -6,7 +6,6 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// Output of a cargo command on the workspace.
 fn cargo(arguments: &[&str]) -> Vec<u8> {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
         .args(arguments)
@@ -18,7 +17,6 @@ fn cargo(arguments: &[&str]) -> Vec<u8> {
     output.stdout
 }
 
-/// Output of `cargo metadata` for the workspace.
 fn metadata(arguments: &[&str]) -> Value {
     let metadata = [&["metadata", "--format-version", "1"], arguments].concat();
     serde_json::from_slice(&cargo(&metadata)).unwrap()
@@ -95,7 +93,6 @@ fn layers() -> Vec<Vec<String>> {
     diagram.trim().lines().map(line).collect()
 }
 
-/// Violations of the layers, one sentence each.
 fn violations(
     layers: &[Vec<String>],
     dependencies: &BTreeMap<String, BTreeSet<String>>,
@@ -140,7 +137,6 @@ fn crates_use_only_crates_on_lower_lines_of_the_diagram() {
     assert!(violations.is_empty(), "{violations:#?}");
 }
 
-/// All sources in a language below a folder, concatenated.
 fn sources(folder: &Path, ending: &str) -> String {
     let mut text = String::new();
     for entry in std::fs::read_dir(folder).into_iter().flatten() {
@@ -154,7 +150,6 @@ fn sources(folder: &Path, ending: &str) -> String {
     text
 }
 
-/// Rust sources of all packages of the workspace.
 fn rust_sources() -> String {
     let mut code = String::new();
     for package in metadata(&["--no-deps"])["packages"].as_array().unwrap() {

@@ -33,7 +33,6 @@ fn a_campaign_with_mujoco_under_faults_ends_as_the_undisturbed_one() {
     play(SlotKind::Real, seeds(100..100 + REAL_SCHEDULES));
 }
 
-/// Returns the seeds that the environment requests, or the default ones.
 fn seeds(default: std::ops::Range<u64>) -> VecDeque<u64> {
     let Ok(text) = std::env::var("ROLLOUT_CHAOS_SEEDS") else {
         return default.collect();
@@ -108,7 +107,6 @@ fn ends_as_expected(schedule: &Schedule, slots: SlotKind, expected: &str) -> boo
     is_same
 }
 
-/// Returns the first lines that differ.
 fn difference(expected: &str, outcome: &str) -> String {
     let mut pairs = expected.lines().zip(outcome.lines());
     match pairs.find(|(expected, found)| expected != found) {

@@ -6,7 +6,6 @@ use std::process::{Command, Stdio};
 
 use tests::programs::{Campaigns, program};
 
-/// Runs a command whose standard output has no reader.
 fn check(name: &str, arguments: &[&str]) {
     let (reader, writer) = pipe().expect("a pipe");
     drop(reader);

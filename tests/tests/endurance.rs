@@ -65,7 +65,6 @@ fn roll_out(simulator: &mut Simulator, task: TaskRef, config: u16) {
     episode.observe(&request).unwrap();
 }
 
-/// Resource usage of this process.
 struct Usage {
     resident_kib: f64,
     threads: f64,

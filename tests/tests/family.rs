@@ -22,7 +22,6 @@ use tests::files::{folder_with_links, libero, primitives, sources};
 use tests::programs::program;
 
 const RECORDED: &str = include_str!("family/states.txt");
-/// Seed of the recordings.
 const SEED: u32 = 7;
 
 fn files_of(sources: &Sources, subject: Subject, task: TaskRef) -> TaskFiles {

@@ -36,7 +36,6 @@ const WITH_OWN_FILES: [(&str, &str); 2] = [
 ];
 const LAYOUT: &str = "put_the_bowl_on_the_plate_moved_level1_sample1";
 
-/// Returns the arguments that create a campaign of LIBERO-Plus.
 fn creation<'a>(campaigns: &'a Campaigns, policy: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     let endpoint = campaigns.gateway.url.as_str();
     let mut arguments = vec!["campaign", "create", "--name", "plus", "--policy", policy];
@@ -240,7 +239,6 @@ fn para_checkout(test: &str) -> Option<PathBuf> {
     checkout
 }
 
-/// Runs `worker assets fetch --suite` with sources and more arguments.
 fn fetch(sources: &Path, more: &[&str]) -> Output {
     let mut command = Command::new(program("worker"));
     command.args(["assets", "fetch", "--sources"]).arg(sources);

@@ -13,12 +13,10 @@ use sim::predicates::Goal;
 use tests::files::{libero, primitives, sources};
 
 const SUITE: &str = "libero_90";
-/// Tasks of the suite.
 const TASKS: usize = 90;
 /// Number of initial states released for each task.
 const STATES: usize = 50;
 
-/// A task of the suite, with its parsed files.
 struct Task {
     name: String,
     problem: Problem,

@@ -10,11 +10,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use tests::chaos::{Fault, Fleet, Link, Plan, SlotKind};
 
-/// Interval at which the progress of the campaign is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Range of the interval between two random faults, milliseconds; the upper end is excluded.
 const INTERVAL_MILLIS: (u64, u64) = (1_000, 4_000);
-/// Duration of each outage of policy and disk.
 const OUTAGE: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy)]

@@ -16,7 +16,6 @@ use tests::files::{folder_with_links, libero, sources};
 use tests::outcome::alone;
 use tests::programs::{Campaigns, program};
 
-/// A scene with changed lights.
 #[derive(Deserialize)]
 struct Case {
     name: String,
@@ -41,7 +40,6 @@ fn cases() -> Vec<Case> {
     serde_json::from_str(CASES).unwrap()
 }
 
-/// Returns LIBERO's scene file of a kind.
 fn base_scene(kind: &str) -> String {
     let kind = match kind {
         "kitchen" => "kitchen_tabletop",
@@ -150,7 +148,6 @@ fn held_out_pictures_with_shadows_equal_the_originals() {
     check(held_out, "held_out_pictures_with_shadows_equal_the_originals");
 }
 
-/// Returns the line of `worker variants --list` for a variant.
 fn listed(name: &str, assets: &Path) -> String {
     let mut command = Command::new(program("worker"));
     command.args(["variants", "--variant", name, "--list", "--assets"]);

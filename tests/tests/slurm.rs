@@ -85,7 +85,6 @@ fn create(endpoint: &str) -> Vec<&str> {
     create
 }
 
-/// Returns the report of a campaign run by a worker beside its coordinator.
 fn report_of_one_machine(endpoint: &str) -> String {
     let data = tempfile::tempdir().expect("a folder");
     let campaigns = Campaigns::start(data.path());
@@ -99,7 +98,6 @@ fn report_of_one_machine(endpoint: &str) -> String {
     report + &campaigns.succeed(&["report", CAMPAIGN, "--json"])
 }
 
-/// A campaign on a cluster, with its coordinator outside the cluster.
 struct ClusterCampaign {
     // Dropped first, since its jobs call the coordinator.
     cluster: Cluster,
@@ -167,7 +165,6 @@ impl ClusterCampaign {
         });
     }
 
-    /// Drains a worker's node and requeues its job.
     fn lose_node(&self, task: &str) {
         let before = self.cluster.job(task);
         let name = format!("NodeName={}", before.node);
@@ -236,7 +233,6 @@ impl ClusterCampaign {
             + &self.command_output(&["report", CAMPAIGN, "--json"])
     }
 
-    /// Stops the coordinator and checks the database.
     fn close(mut self) {
         let data = self.cluster.path("campaigns");
         self.coordinator.signal("-TERM");
@@ -260,7 +256,6 @@ impl ClusterCampaign {
         status.contains("finished")
     }
 
-    /// Returns the number of the campaign's rollouts in a state.
     fn count(&self, state: &str) -> u64 {
         let status = self.json(&["campaign", "status", CAMPAIGN]);
         let count = &status["campaigns"][0]["rollouts"][state];
@@ -272,7 +267,6 @@ impl ClusterCampaign {
         serde_json::from_str(&report).expect("JSON")
     }
 
-    /// Runs a command against the coordinator and returns its output.
     fn command_output(&self, arguments: &[&str]) -> String {
         let mut command = Command::new(program("coordinator"));
         command.args(arguments).args(["--connect", &self.url]);

@@ -66,7 +66,6 @@ impl OwnSuite {
         serde_json::from_str(&text).expect("JSON")
     }
 
-    /// Calls `worker variants` with the suite file.
     fn call(&self, more: &[&str]) -> Output {
         self.call_with("primitives".as_ref(), more)
     }
@@ -78,7 +77,6 @@ impl OwnSuite {
         command.args(more).output().expect("the worker runs")
     }
 
-    /// Creates a campaign of the suite file.
     fn create(&self, campaigns: &Campaigns, name: &str, policy: &str, more: &[&str]) {
         let path = self.file();
         #[rustfmt::skip]

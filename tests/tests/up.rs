@@ -92,7 +92,6 @@ impl Up {
         assert!(status.expect("kill runs").success());
     }
 
-    /// Returns the names and process ids of the child processes.
     fn children(&self) -> Vec<(String, u32)> {
         let pid = self.child.id();
         let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).expect("tasks");

@@ -91,7 +91,6 @@ fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str)
     }
 }
 
-/// A checked description of a policy.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Description {
     /// Description as the policy gave it.
@@ -124,7 +123,6 @@ pub trait Actor {
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
-        _suite: &str,
         _instruction: &str,
         _seed: u64,
     ) -> Result<(), PolicyError> {

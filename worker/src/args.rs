@@ -52,7 +52,6 @@ pub struct Arguments {
 }
 
 impl Arguments {
-    /// Returns the command-line parser of a program of this version.
     pub fn parser(version: &'static str) -> clap::Command {
         Self::command().version(version)
     }
@@ -243,13 +242,8 @@ pub struct RolloutArguments {
     pub id: Option<RolloutId>,
     /// Protocol of a rollout of LIBERO-Plus, -PRO or -Para, as docs/FAMILY.md describes it
     /// [default: plus-official, pro-official or para-official]
-    #[arg(
-        long,
-        value_name = "NAME",
-        hide_short_help = true,
-        requires = "id",
-        conflicts_with = "bddl"
-    )]
+    #[arg(long, value_name = "NAME", hide_short_help = true, requires = "id")]
+    #[arg(conflicts_with = "bddl")]
     pub protocol: Option<Protocol>,
     /// The suite file of the rollout, whose id is then such as own/t1/own:drawers/i07
     #[arg(long, value_name = "FILE", hide_short_help = true, requires = "id", conflicts_with_all = ["bddl", "protocol"])]

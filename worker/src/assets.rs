@@ -28,7 +28,6 @@ const LOGGED_PERCENT: u64 = 25;
 /// Number of files that a message names; further ones are only counted.
 const MAX_NAMED: usize = 20;
 
-/// Runs `worker assets`.
 pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     let dir = arguments.sources.clone();
     let dir = dir.unwrap_or_else(Sources::default_dir);
@@ -52,7 +51,6 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
     Ok(())
 }
 
-/// Fetches the missing files of tasks, with progress on standard error.
 pub fn provide(
     pack: &AssetPack,
     sources: &Sources,
@@ -92,7 +90,6 @@ impl Provider {
         Self { pack: pack.clone(), sources: sources.clone(), is_cancelled: Arc::default() }
     }
 
-    /// Returns the benchmarks whose task files were not fetched.
     pub fn missing_benchmarks(&self) -> impl Iterator<Item = Benchmark> {
         let all = Benchmark::ALL.into_iter();
         all.filter(|benchmark| !scene::has_task_files(*benchmark, &self.sources))

@@ -22,7 +22,6 @@ use crate::stage::Stage;
 use crate::supervise::SuperviseError;
 use crate::supervise::link::Link;
 
-/// Settings of `worker film`.
 #[derive(Debug)]
 pub struct Config {
     pub coordinator: String,
@@ -40,7 +39,6 @@ pub struct Config {
 /// Numbers of rollouts that were filmed and that could not be filmed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct FilmCounts {
-    /// Videos that were stored at the coordinator.
     pub stored: u64,
     /// Rollouts that could not be filmed; the log says why.
     pub failed: u64,
@@ -59,7 +57,6 @@ pub enum FilmError {
     Refused { url: String, status: Box<Status> },
 }
 
-/// A committed rollout to be filmed.
 struct Filmable {
     attempt: AttemptId,
     /// Name of the rollout in messages.

@@ -25,11 +25,7 @@ pub(crate) enum FilmingError {
     #[error(transparent)]
     Video(#[from] VideoError),
     #[error("write {}", path.display())]
-    Write {
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
     #[error(
         "simulate the rollout again: its outcome differs from the first time; this is a defect"
     )]
@@ -116,10 +112,7 @@ pub(crate) fn render_again(
         success = episode.step(action)?;
         show(observe_both(&mut episode)?)?;
     }
-    match success == replay.success {
-        true => Ok(()),
-        false => Err(FilmingError::Differs),
-    }
+    if success == replay.success { Ok(()) } else { Err(FilmingError::Differs) }
 }
 
 /// Renders both cameras at [`PANE_SIDE`] as a policy sees them, for the left and right halves of a

@@ -4,7 +4,6 @@ use std::time::Duration;
 
 use tonic::{Response, Status};
 
-/// Makes a call, and gives up after `deadline`.
 pub(crate) async fn with_deadline<T>(
     deadline: Duration,
     call: impl Future<Output = Result<Response<T>, Status>>,

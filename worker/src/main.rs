@@ -74,7 +74,6 @@ fn main() -> ExitCode {
     }
 }
 
-/// Prints a line to standard output.
 fn print_line(line: &str) -> anyhow::Result<()> {
     terminal::print_line(line).context("print to standard output")
 }
@@ -432,7 +431,6 @@ fn run_worker(
     ended
 }
 
-/// Sends one shutdown request per signal.
 async fn forward(
     mut terminate: Signal,
     mut interrupt: Signal,

@@ -29,7 +29,6 @@ pub(crate) enum Verdict {
 }
 
 impl OomKills {
-    /// Reads the current counters.
     pub(crate) fn read() -> Self {
         Self::read_below(Path::new("/"))
     }

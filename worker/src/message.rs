@@ -45,7 +45,6 @@ impl fmt::Display for Session {
     }
 }
 
-/// Command that the parent sends to a slot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotCommand {
@@ -54,7 +53,6 @@ pub enum SlotCommand {
     Abandon(AttemptId),
 }
 
-/// Rollout for a slot to run.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Assignment {
     pub attempt: AttemptId,
@@ -110,7 +108,6 @@ impl Assignment {
         }
     }
 
-    /// Returns the names and the deadline of the session with the policy.
     pub fn policy_session(&self) -> PolicySession<'_> {
         PolicySession {
             policy: &self.policy,
@@ -129,7 +126,6 @@ impl Assignment {
     }
 }
 
-/// Event that a slot sends to the parent.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotEvent {
@@ -146,7 +142,6 @@ pub enum SlotEvent {
     },
 }
 
-/// Event of a rollout, as a slot reports it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum RolloutEvent {
@@ -156,7 +151,6 @@ pub enum RolloutEvent {
     Finished(Box<Finished>),
     /// The rollout ended without a result.
     Failed(Failure),
-    /// The rollout was abandoned, as commanded.
     Abandoned,
     /// Number of frames so far of the video that was announced with the result.
     Filming(u32),
@@ -166,7 +160,6 @@ pub enum RolloutEvent {
     NotFilmed(String),
 }
 
-/// Result of a rollout.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
     pub result: RolloutResult,
@@ -249,7 +242,6 @@ impl From<&PolicyError> for FailureKind {
 }
 
 impl FailureKind {
-    /// Returns the number of queries that a lost policy had answered.
     pub(crate) fn answered_queries(self) -> Option<u32> {
         match self {
             Self::PolicyLost { answered } => Some(answered),

@@ -12,7 +12,6 @@ use serde::de::DeserializeOwned;
 
 use crate::message::MAX_LINE_BYTES;
 
-/// Connection to the parent process.
 #[derive(Debug)]
 pub struct Parent(UnixStream);
 
@@ -30,7 +29,6 @@ impl Parent {
         Ok(Self(stdin.into()))
     }
 
-    /// Sends a message to the parent.
     pub fn send<T: Serialize>(&self, value: &T) -> io::Result<()> {
         let mut line = serde_json::to_vec(value)?;
         line.push(b'\n');

@@ -27,7 +27,6 @@ use crate::message::Assignment;
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
 /// Longest wait for the acknowledgement of an episode's end.
 const END_DEADLINE: Duration = Duration::from_secs(2);
-/// Longest wait for a connection.
 const CONNECT_DEADLINE: Duration = Duration::from_secs(10);
 /// HTTP/2 receive window, bytes: larger than an answer, so that no call waits for a window update.
 const WINDOW_BYTES: u32 = 4 << 20;
@@ -139,14 +138,13 @@ impl Actor for PolicyClient {
     fn reset(
         &mut self,
         session: PolicySession<'_>,
-        suite: &str,
         instruction: &str,
         seed: u64,
     ) -> Result<(), PolicyError> {
         let request = ResetRequest {
             policy: session.policy.to_owned(),
             session: session.session.to_owned(),
-            suite: suite.to_owned(),
+            suite: session.suite.to_owned(),
             instruction: instruction.to_owned(),
             seed,
         };
@@ -240,7 +238,6 @@ fn with_settings(endpoint: Endpoint) -> Endpoint {
         .initial_connection_window_size(WINDOW_BYTES)
 }
 
-/// Checks and parses a policy's description.
 fn read_description(about: DescribeResponse) -> Result<Description, DescriptionFault> {
     proto::checks::description(&about)?;
     let fields = about.state.iter();

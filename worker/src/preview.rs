@@ -23,7 +23,6 @@ const PRESETS_PER_ROW: usize = 5;
 /// Side of a frame, pixels, as policies usually ask for.
 const FRAME: u32 = 256;
 
-/// Configuration to preview.
 pub struct Request {
     pub task: TaskRef,
     /// Index of the configuration, which selects preset and initial state.
@@ -69,7 +68,7 @@ fn write_error(path: &Path, problem: &dyn std::fmt::Display) -> PreviewError {
 }
 
 /// Renders the grid: one row for each axis alone and one for simultaneous, with a column for
-/// the nominal scene and for each severity. The language axis is shown as text.
+/// the nominal scene and for each level. The language axis is shown as text.
 fn grid(simulator: &mut Simulator, request: &Request) -> Result<Picture, PreviewError> {
     let seen = Axis::every().filter(|axis| axis.def().acts_on != ActsOn::Answers);
     let rows = seen.map(Condition::Single).chain([Condition::Simultaneous]);
@@ -108,9 +107,9 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// Renders the policy's first view in the rollout of a manifest row. Actuation shows only in
-/// motion: for a condition that changes actions, the view after a fixed motion is rendered, also of the
-/// nominal rollout beside it.
+/// Renders the policy's first view in the rollout of a manifest row. Actuation shows only in motion:
+/// for a condition that changes actions, the view after a fixed motion is rendered, also in the
+/// nominal column, so that the pictures of a row differ in the perturbation only.
 fn picture(
     simulator: &mut Simulator,
     request: &Request,
@@ -138,7 +137,7 @@ fn upright_view(episode: &mut Episode<'_>) -> Result<Picture, SimError> {
 /// id of the perturbed row at L1, so that only the perturbation differs.
 fn row(task: TaskRef, condition: Condition, level: Option<Level>, config: u16) -> ManifestRow {
     let id = RolloutId::perturbed(task, condition, level.unwrap_or(Level::L1), config)
-        .expect("a perturbed condition with a severity");
+        .expect("a perturbed condition at a level");
     let row = row_of(id).expect("a row of the protocol");
     match level {
         Some(_) => row,

@@ -44,23 +44,17 @@ pub enum RescueError {
     #[error("film the rescue")]
     Film(#[source] Box<dyn std::error::Error + Send + Sync>),
     #[error("write {}", path.display())]
-    Write {
-        path: PathBuf,
-        #[source]
-        source: std::io::Error,
-    },
+    Write { path: PathBuf, source: std::io::Error },
 }
 
 /// Content of `rescue.json`. Steps are control steps of the policy, counted from 0.
 #[derive(Debug, Serialize)]
 pub struct Rescue {
-    /// Identifier of the failing rollout.
     pub rollout_id: RolloutId,
     /// The policy's own name.
     pub policy: String,
     /// SHA-256 of the policy's checkpoint, if the policy gives it.
     pub policy_checkpoint_digest: String,
-    /// Step budget of the policy.
     pub max_steps: u32,
     /// Steps at which the policy was queried, the candidates of the search.
     pub looks: Vec<u32>,
@@ -81,7 +75,6 @@ pub struct Rescue {
     pub nudge_m: f64,
 }
 
-/// One trial of the search.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tried {
     /// Step at which the perturbations were lifted.
@@ -197,10 +190,7 @@ pub fn run(
 }
 
 fn outcome_word(success: bool) -> &'static str {
-    match success {
-        true => "success",
-        false => "failure",
-    }
+    if success { "success" } else { "failure" }
 }
 
 /// Records the control steps at which the policy is queried.

@@ -42,7 +42,6 @@ pub struct Step {
     pub executed: Action,
 }
 
-/// Observes a rollout, and may abandon it.
 pub trait Watcher {
     /// Called after the scene is composed, after settling and after every later control step.
     /// `control_steps` includes the steps of settling. `Break` abandons the rollout.
@@ -62,11 +61,7 @@ pub trait Watcher {
 #[derive(Debug, thiserror::Error)]
 pub enum RolloutError {
     #[error("simulate {title}")]
-    Simulator {
-        title: String,
-        #[source]
-        source: SimError,
-    },
+    Simulator { title: String, source: SimError },
     #[error("finish the rollout: {0}")]
     Policy(#[from] PolicyError),
     #[error("finish the rollout: it was abandoned")]
@@ -103,7 +98,6 @@ pub struct Simulated {
     pub actions: Vec<Action>,
 }
 
-/// Runs one rollout to its result.
 pub fn run(
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
@@ -200,12 +194,10 @@ pub(crate) fn run_resumed(
     Ok(Simulated { finished, actions: run.executed })
 }
 
-/// State of a running rollout.
 struct Run<'a> {
     assignment: &'a Assignment,
     /// Start at a step of an earlier rollout; `None` for a rollout from its initial state.
     resumed: Option<Resumed<'a>>,
-    /// Name of the rollout in messages.
     title: String,
     description: &'a Description,
     actor: &'a mut dyn Actor,
@@ -254,7 +246,7 @@ impl Run<'_> {
         let session = self.assignment.policy_session();
         add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
-            self.actor.reset(session, row.suite_name(), &instruction, seed)
+            self.actor.reset(session, &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));
@@ -319,7 +311,6 @@ impl Run<'_> {
         Ok(success)
     }
 
-    /// Renders the scene for the policy and returns its next actions.
     fn query(
         &mut self,
         episode: &mut Episode<'_>,
@@ -350,10 +341,7 @@ impl Run<'_> {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();
         }
-        let recorded: &[Action] = match self.assignment.keep_actions {
-            true => &self.executed,
-            false => &[],
-        };
+        let recorded: &[Action] = if self.assignment.keep_actions { &self.executed } else { &[] };
         // Policies answer with 32-bit floats, so the conversion is exact.
         let actions: Vec<_> =
             recorded.iter().map(|action| action.map(|value| value as f32)).collect();

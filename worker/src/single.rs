@@ -45,7 +45,6 @@ pub struct Request<'a> {
     pub output: &'a Path,
 }
 
-/// Content of `result.json`.
 #[derive(Debug, Serialize)]
 struct ResultFile<'a> {
     /// Task files that replaced those of the row's task.

@@ -43,7 +43,6 @@ pub enum SlotError {
     Parent(#[source] io::Error),
 }
 
-/// Attempt that the parent abandoned last.
 type Abandoned = Mutex<Option<AttemptId>>;
 
 /// Serves the parent process until it closes the connection, with `access` to policies.

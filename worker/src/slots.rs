@@ -87,7 +87,6 @@ fn cores() -> Result<usize, MachineError> {
     cores.map(usize::from).map_err(MachineError::Cores)
 }
 
-/// Raises the soft limit of open files to the hard one, and returns the resulting limit.
 fn raise_open_files() -> u64 {
     let limit = getrlimit(Resource::Nofile);
     let raised = Rlimit { current: limit.maximum, maximum: limit.maximum };

@@ -5,7 +5,6 @@ use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// Runs `work`, and adds its processor time in this thread to `secs`.
 pub(crate) fn add_processor_time<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     let before = processor_secs();
     let done = work();
@@ -13,7 +12,6 @@ pub(crate) fn add_processor_time<T>(secs: &mut f64, work: impl FnOnce() -> T) ->
     done
 }
 
-/// Runs `work`, and adds its elapsed time to `secs`.
 pub(crate) fn add_elapsed_time<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     let before = Instant::now();
     let done = work();

@@ -102,7 +102,6 @@ fn parse_model(model: &str) -> Execution {
     model.parse().expect("a model")
 }
 
-/// Returns a simulator with the built-in assets.
 fn simulator() -> Simulator {
     let sources = Sources::open(&Sources::default_dir());
     let sources = sources.expect("the sources; run `cargo xtask setup`");

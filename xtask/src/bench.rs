@@ -129,7 +129,6 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     Ok(())
 }
 
-/// Returns the path of a task's recorded actions in the reference data.
 fn actions_of(oracle: &Path, task: &str) -> Result<PathBuf> {
     let parts = task.split_once('/');
     let parts = parts.and_then(|(suite, index)| Some((suite, index.parse::<u32>().ok()?)));
@@ -223,7 +222,6 @@ impl std::fmt::Display for RolloutTime {
     }
 }
 
-/// Runs a program and parses its last line as JSON.
 pub(crate) fn last_json(command: &mut Command) -> Result<Value> {
     let printed = capture(command)?;
     let line = printed.lines().next_back().unwrap_or_default();

@@ -11,7 +11,7 @@ use crate::clients;
 use crate::original::Original;
 use crate::process::run as run_command;
 use crate::setup;
-use crate::venv::packages;
+use crate::venv::site_packages;
 use crate::wheel::{self, Profile};
 
 /// Options of `cargo xtask bench training`.
@@ -44,7 +44,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let original = Original::provide(&cache, &oracle, &assets);
     let shim = wheel::installed(root, &cache, Profile::Release, None)?;
     let clients = clients::provide(root, &cache);
-    let clients = clients.as_deref().map(packages).transpose()?;
+    let clients = clients.as_deref().map(site_packages).transpose()?;
     // PYTHONPATH of a simulator: its own packages precede those of LeRobot, RLinf and vla-eval.
     let path = |simulator: &Path| -> Result<String> {
         let clients = clients.iter().map(|folder| folder.display().to_string());
@@ -67,7 +67,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             command
         }
     };
-    command.args(["--shim", &path(&packages(&shim)?)?, "--shim-python"]);
+    command.args(["--shim", &path(&site_packages(&shim)?)?, "--shim-python"]);
     command.arg(&shim).args(["--task", &options.task, "--out"]);
     command.arg(root.join(&options.out));
     if clients.is_none() {

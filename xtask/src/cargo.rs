@@ -36,7 +36,6 @@ pub(crate) fn remove_package_variables(command: &mut Command) {
 /// only once for all programs.
 const WORKSPACE: [&str; 3] = ["--workspace", "--exclude", "xtask"];
 
-/// Builds all programs of the workspace and returns their folder.
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {
     println!("Building the programs");
     build(root, &[&WORKSPACE[..], &["--bins"]].concat())
@@ -52,7 +51,6 @@ pub(crate) fn build_only(root: &Path, names: &[&str]) -> Result<PathBuf> {
     build(root, &[&["--no-default-features", "--bins"], &packages[..]].concat())
 }
 
-/// Builds one program and returns its path.
 pub(crate) fn build_program(root: &Path, name: &str) -> Result<PathBuf> {
     let programs = build(root, &[&WORKSPACE[..], &["--quiet", "--bin", name]].concat())?;
     Ok(programs.join(name))
@@ -76,7 +74,6 @@ pub(crate) fn build_released_programs(
     Ok(build_folder(root)?.with_file_name(target).join("release"))
 }
 
-/// Returns the search path for programs with a further folder in front.
 pub(crate) fn path_with(folder: &Path) -> Result<OsString> {
     let path = std::env::var_os("PATH").unwrap_or_default();
     let path = std::iter::once(folder.to_owned()).chain(std::env::split_paths(&path));

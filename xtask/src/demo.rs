@@ -48,7 +48,6 @@ pub(crate) struct Options {
     configs: String,
 }
 
-/// Runs the demo and prints the locations of its results.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let start = Instant::now();
     let cache = setup::linker(root)?;

@@ -167,15 +167,12 @@ mod tests {
     /// Collects the mentions of `cargo xtask` in the pages: commands in code blocks, and in
     /// sentences, which may name a command without its arguments.
     fn documented() -> (Vec<String>, Vec<String>) {
-        let folders = ["docs", "docs/dev"].map(|folder| std::fs::read_dir(root().join(folder)));
-        let pages = folders.into_iter().flat_map(|pages| pages.expect("the pages"));
-        let pages = pages.map(|page| page.expect("a page").path());
-        let readmes = ["README.md", "policies/README.md", "fuzz/README.md"];
-        let all = pages.chain(readmes.map(|page| root().join(page)));
-        let pages = all.filter(|page| page.extension().is_some_and(|extension| extension == "md"));
+        let mut git = std::process::Command::new("git");
+        git.args(["ls-files", "*.md"]).current_dir(root());
+        let pages = process::capture(&mut git).expect("a checkout");
         let (mut commands, mut mentions) = (Vec::new(), Vec::new());
-        for page in pages {
-            let text = std::fs::read_to_string(page).expect("a page");
+        for page in pages.lines() {
+            let text = std::fs::read_to_string(root().join(page)).expect("a page");
             let mut in_code_block = false;
             let mut sentences = String::new();
             for line in text.lines() {

@@ -10,7 +10,6 @@ use crate::setup;
 use crate::step::step;
 use crate::venv;
 
-/// Packages that the original imports.
 const PACKAGES: [&str; 15] = [
     "mujoco==3.3.7",
     "numpy",
@@ -43,7 +42,6 @@ pub(crate) struct Original {
 }
 
 impl Original {
-    /// Installs the missing parts.
     pub(crate) fn provide(cache: &Path, oracle: &Path, assets: &Path) -> Result<Self> {
         let tools = oracle.join("tools");
         ensure!(
@@ -60,7 +58,7 @@ impl Original {
         step("the original's Python packages", || {
             venv::with_undeclared(&dir, &PACKAGES, &ORIGINAL)
         })?;
-        let packages = venv::packages(&python)?;
+        let packages = venv::site_packages(&python)?;
         let package = packages.join("libero/libero");
         link(&package.join("assets"), &assets)?;
         let settings = dir.join("settings");
@@ -74,7 +72,6 @@ impl Original {
         })
     }
 
-    /// Returns the folder of the installed Python packages.
     pub(crate) fn packages(&self) -> &Path {
         &self.packages
     }

@@ -9,7 +9,6 @@ use anyhow::{Context, Result, ensure};
 use crate::dist::digest;
 use crate::process::capture;
 
-/// A wheel, and the files to extract from it.
 pub(crate) struct Wheel {
     /// Name and version in pip's syntax.
     pub(crate) requirement: &'static str,
@@ -108,7 +107,6 @@ impl Wheel {
         Ok(if fetched { "fetched, checked, unpacked" } else { "checked, unpacked" })
     }
 
-    /// Returns the texts of the wheel's licences.
     pub(crate) fn licences(&self, cache: &Path) -> Result<String> {
         let wheel = cache.join("wheels").join(self.file);
         if !wheel.is_file() {

@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 use crate::step::step;
-use crate::venv::new_environment;
+use crate::venv::{new_environment, pip};
 use crate::wheel::SETUPTOOLS;
 
 /// Packages whose messages the tests compare with the gateway's: the client with which openpi's
@@ -22,17 +22,17 @@ const STAMP: &str = "requirements-of.toml";
 
 /// Creates a virtual environment with the policies package in editable mode; returns its
 /// interpreter.
-pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
+pub(crate) fn policies(root: &Path, cache: &Path) -> Result<String> {
     let dir = cache.join("policies-venv");
     let python = dir.join("bin/python");
     if !python.exists() {
         new_environment(&dir)?;
     }
     let package = format!("{}[dev]", root.join("policies").display());
-    capture(pip(&python, "install").arg("--editable").arg(package))?;
+    capture(pip(&dir).arg("--editable").arg(package))?;
     // Without dependencies, which the tests do not need: openpi-client requires NumPy below 2,
     // which newer Pythons lack, and vla-eval requires packages for videos and rendering.
-    capture(pip(&python, "install").arg("--no-deps").args(COMPARED_WITH))?;
+    capture(pip(&dir).arg("--no-deps").args(COMPARED_WITH))?;
     Ok(python.display().to_string())
 }
 
@@ -49,7 +49,8 @@ pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
         if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == expected) {
             return Ok("already there");
         }
-        let mut download = pip(Path::new("python3"), "download");
+        let mut download = Command::new("python3");
+        download.args(["-m", "pip", "download", "--quiet", "--disable-pip-version-check"]);
         download.arg("--dest").arg(&folder);
         download.arg(root.join("policies"));
         capture(download.args([SETUPTOOLS, NOTEBOOK_REQUIREMENT]))?;
@@ -57,11 +58,4 @@ pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
         Ok("downloaded")
     })?;
     Ok(folder)
-}
-
-fn pip(python: &Path, command: &str) -> Command {
-    let mut pip = Command::new(python);
-    pip.args(["-m", "pip", command, "--quiet"]);
-    pip.arg("--disable-pip-version-check");
-    pip
 }

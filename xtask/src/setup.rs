@@ -74,7 +74,6 @@ pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result
     }
 }
 
-/// Checks for the libraries for off-screen OpenGL rendering.
 pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", || {
         let known = ["ldconfig", "/sbin/ldconfig"]

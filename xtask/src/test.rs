@@ -101,7 +101,6 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     })
 }
 
-/// Removes the suites of a lane from `suites`, and returns the removed suites.
 fn take(suites: &mut Vec<Suite>, lane: &[Suite]) -> Vec<Suite> {
     suites.extract_if(.., |suite| lane.contains(suite)).collect()
 }
@@ -178,7 +177,7 @@ impl Tests<'_> {
     /// them, because many tests wait for single processes.
     fn crates(&self) -> Result<()> {
         let Self { root, cache, programs, filters, with_lints } = *self;
-        let python = step("Python environment for policies/", || python::environment(root, cache))?;
+        let python = step("Python environment for policies/", || python::policies(root, cache))?;
         let packages = python::packages(root, cache)?;
         let typescript = typescript::build(root)?;
         step("dependencies against deny.toml", || deny(root))?;
@@ -270,7 +269,7 @@ fn lints(root: &Path) -> Command {
 /// Lints all Python sources, and tests the policies package from its sources.
 fn policies(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     lint::run(root, cache)?;
-    let python = step("Python environment for policies/", || python::environment(root, cache))?;
+    let python = step("Python environment for policies/", || python::policies(root, cache))?;
     let mut pytest = Command::new(python);
     run_command(
         pytest

@@ -51,7 +51,6 @@ pub(crate) fn optional(title: &str, dir: &Path, packages: &[&str]) -> Option<Pat
     (described.is_ok() && problem.is_none()).then(|| dir.join("bin"))
 }
 
-/// Creates an empty virtual environment, replacing an existing environment.
 pub(crate) fn new_environment(dir: &Path) -> Result<()> {
     let mut venv = Command::new("python3");
     capture(venv.args(["-m", "venv", "--clear"]).arg(dir))
@@ -59,7 +58,6 @@ pub(crate) fn new_environment(dir: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the environment's `pip install` command.
 pub(crate) fn pip(dir: &Path) -> Command {
     let mut pip = Command::new(dir.join("bin/python"));
     pip.args(["-m", "pip", "install", "--quiet"]);
@@ -68,7 +66,7 @@ pub(crate) fn pip(dir: &Path) -> Command {
 }
 
 /// Returns the folder of an interpreter's installed packages.
-pub(crate) fn packages(python: &Path) -> Result<PathBuf> {
+pub(crate) fn site_packages(python: &Path) -> Result<PathBuf> {
     let print = "import site; print(site.getsitepackages()[0])";
     capture(Command::new(python).args(["-c", print])).map(PathBuf::from)
 }

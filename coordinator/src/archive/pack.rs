@@ -10,7 +10,7 @@ use queue::{FilmFile, Portable, ROLLOUTS_FILE, SourceOutcomes};
 use sha2::{Digest, Sha256};
 use tar::{Builder, EntryType, Header};
 
-use super::derived::{self, Derived};
+use super::computed::{self, Computed};
 use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
 
 /// Archive ready to be written: its table of contents and the files of its members.
@@ -21,8 +21,8 @@ pub struct Package {
     files: Vec<PathBuf>,
 }
 
-/// Prepares a campaign's archive: derives members from its rows and lists all files. Films are given
-/// with the paths of their files; those whose files are missing are left out.
+/// Prepares a campaign's archive: computes members from its rows and lists all files. Films are
+/// given with the paths of their files; those whose files are missing are left out.
 pub async fn package(
     campaign: Portable,
     films: Vec<(FilmFile, PathBuf)>,
@@ -37,7 +37,7 @@ pub async fn package(
             "films left out of the archive because their files are missing: {}",
             missing.join(", "));
     }
-    let derived_members = derived::derive(&campaign).await?;
+    let computed = computed::compute(&campaign).await?;
     let mut contents = Contents {
         format: FORMAT,
         program: format!("coordinator {}", version::version!()),
@@ -49,22 +49,22 @@ pub async fn package(
     let folder = campaign.folder().to_owned();
     let name = contents.campaign.clone();
     let listed =
-        tokio::task::spawn_blocking(move || list_members(&folder, derived_members, members)).await;
+        tokio::task::spawn_blocking(move || list_members(&folder, computed, members)).await;
     let listed = listed.map_err(|_| ArchiveError::Panicked { archive: name })??;
     let (members, files) = listed.into_iter().unzip();
     contents.members = members;
     Ok(Package { contents, files })
 }
 
-/// Writes the derived members beside the rollouts. Returns all members with their paths, sizes and
+/// Writes the computed members beside the rollouts. Returns all members with their paths, sizes and
 /// digests.
 fn list_members(
     folder: &Path,
-    derived_members: Derived,
+    computed: Computed,
     films: Vec<(String, PathBuf)>,
 ) -> Result<Vec<(Member, PathBuf)>, ArchiveError> {
     let mut files = Vec::new();
-    for (name, text) in derived_members {
+    for (name, text) in computed {
         let path = folder.join(name);
         std::fs::write(&path, text)
             .map_err(|source| ArchiveError::Write { path: path.clone(), source })?;
@@ -158,10 +158,7 @@ impl<R: Read> Digesting<R> {
 
     /// Attributes an error of a copy from this reader to the side that failed.
     fn copy_error(&self, error: io::Error) -> CopyError {
-        match self.has_failed {
-            true => CopyError::Read(error),
-            false => CopyError::Write(error),
-        }
+        if self.has_failed { CopyError::Read(error) } else { CopyError::Write(error) }
     }
 
     /// Returns the number of bytes read and their SHA-256, hex.

@@ -13,7 +13,7 @@ use queue::{ARTIFACTS_FOLDER, Portable, PortableError, ROLLOUTS_FILE, film_attem
 use serde::Deserialize;
 use tar::{Archive, Entries, Entry, EntryType};
 
-use super::derived::{self, PROVENANCE, REPORT, SPECIFICATION};
+use super::computed::{self, PROVENANCE, REPORT, SPECIFICATION};
 use super::pack::{CopyError, copy_digesting};
 use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
@@ -34,12 +34,10 @@ const NO_TAR: &str = "it is not a compressed tar archive";
 /// First members after the table of contents, in order; every archive has them.
 const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, ROLLOUTS_FILE];
 
-/// Verified campaign from an archive.
 #[derive(Debug)]
 pub struct Unpacked {
     /// Rows and films of the campaign, in a folder of their own.
     pub campaign: Portable,
-    /// Table of contents of the archive.
     pub contents: Contents,
 }
 
@@ -58,11 +56,7 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let archive = || name.to_owned();
     let films = contents.members[MEMBERS.len()..].iter();
     let films = films.map(|film| (film.name.as_str(), film.bytes));
-    let altered = |member: &str, problem: &str| ArchiveError::Altered {
-        archive: archive(),
-        member: member.to_owned(),
-        problem: problem.to_owned(),
-    };
+    let altered = |member, problem| ArchiveReader { archive: name }.altered(member, problem);
     let text = |member| {
         let text = std::fs::read_to_string(into.join(member));
         text.map_err(|_| altered(member, "it is not UTF-8 text"))
@@ -82,9 +76,9 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     {
         return Err(altered(SPECIFICATION, "it is of another campaign"));
     }
-    for (member, fresh) in derived::derive(&campaign).await? {
+    for (member, fresh) in computed::compute(&campaign).await? {
         let archived = text(member)?;
-        if let Some(place) = derived::difference(&archived, &fresh) {
+        if let Some(place) = computed::difference(&archived, &fresh) {
             return Err(ArchiveError::Differs {
                 archive: archive(),
                 member,
@@ -135,7 +129,6 @@ impl ArchiveReader<'_> {
         }
     }
 
-    /// Reads the table of contents, which is the first member.
     fn read_contents(&self, entries: &mut Members<'_>) -> Result<Contents, ArchiveError> {
         /// Version fields, parsed first so that another format is reported as such.
         #[derive(Deserialize)]
@@ -293,12 +286,10 @@ impl ArchiveReader<'_> {
         })
     }
 
-    /// Returns the error for a file that is not an archive.
     fn not_an_archive(&self, problem: impl ToString) -> ArchiveError {
         ArchiveError::Foreign { archive: self.archive.to_owned(), problem: problem.to_string() }
     }
 
-    /// Returns the error for a member that differs from the table of contents.
     fn altered(&self, member: &str, problem: &str) -> ArchiveError {
         ArchiveError::Altered {
             archive: self.archive.to_owned(),
@@ -307,7 +298,6 @@ impl ArchiveReader<'_> {
         }
     }
 
-    /// Returns the error for a member whose size differs from that in the table of contents.
     fn resized(&self, member: &str, bytes: u64, listed: u64) -> ArchiveError {
         self.altered(member, &format!("it has {bytes} bytes instead of {listed}"))
     }

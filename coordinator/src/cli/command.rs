@@ -15,12 +15,8 @@ use transport::{Access, AccessError, ClientArguments, Role};
 #[command(next_help_heading = "Connection")]
 pub(super) struct Connection {
     /// URL of the coordinator.
-    #[arg(
-        long,
-        value_name = "URL",
-        env = "COORDINATOR_URL",
-        default_value = "http://127.0.0.1:7411"
-    )]
+    #[arg(long, value_name = "URL", env = "COORDINATOR_URL")]
+    #[arg(default_value = "http://127.0.0.1:7411")]
     connect: String,
     /// Seconds to keep trying while the coordinator does not answer.
     #[arg(long, value_name = "SECS", default_value_t = RETRY_FOR.as_secs(), hide_short_help = true,

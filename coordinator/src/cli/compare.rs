@@ -5,7 +5,7 @@ use anyhow::anyhow;
 use clap::Args;
 use report::{Document, FamilyComparison};
 
-use super::command::{CommandError, Connection, print_line, usage};
+use super::command::{CommandError, Connection, usage};
 use super::json;
 
 #[derive(Args, Debug)]
@@ -27,10 +27,7 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
     if let [a, b] = subjects.as_slice()
         && let Some(comparison) = FamilyComparison::of(a, b).map_err(anyhow::Error::from)?
     {
-        return match arguments.json {
-            true => json::print(&comparison),
-            false => Ok(print_line(comparison.text().trim_end())?),
-        };
+        return json::print_or(arguments.json, &comparison, || comparison.text());
     }
     if subjects.iter().any(|subject| subject.protocol.is_some()) {
         return Err(usage(anyhow!(
@@ -43,13 +40,8 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
         if let [Err(refused)] = document.comparisons() {
             return Err(anyhow::Error::from(refused.clone()).into());
         }
-        return match arguments.json {
-            true => json::print(&document.comparisons().iter().flatten().collect::<Vec<_>>()),
-            false => Ok(print_line(document.pairs().trim_end())?),
-        };
+        let pairs = document.comparisons().iter().flatten().collect::<Vec<_>>();
+        return json::print_or(arguments.json, &pairs, || document.pairs());
     };
-    match arguments.json {
-        true => json::print(comparison),
-        false => Ok(print_line(comparison.text().trim_end())?),
-    }
+    json::print_or(arguments.json, comparison, || comparison.text())
 }

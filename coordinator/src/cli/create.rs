@@ -337,7 +337,6 @@ fn print_execution(spec: &CampaignSpec, unknown: Option<&str>) -> Result<(), Com
     Ok(())
 }
 
-/// Prints the variants that the campaign leaves out.
 fn print_left_out(left_out: &Lacking) -> Result<(), CommandError> {
     if left_out.count() > 0 {
         let count = counted(left_out.count() as u64, "variant");
@@ -388,7 +387,6 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Returns the specification, and the variants that it leaves out.
 fn spec_of_flags(arguments: &CreateArguments) -> Result<(CampaignSpec, Lacking), CommandError> {
     let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
     let is_perturbed = !arguments.design.axes.is_empty();

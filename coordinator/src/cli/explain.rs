@@ -9,7 +9,7 @@ use paired::adaptive::subsets::{Addition, additions};
 use report::{Findings, Subject};
 use terminal::{number, number_from};
 
-use super::command::{CommandError, Connection, print_line, usage};
+use super::command::{CommandError, Connection, usage};
 use super::create::{RECORDS, enum_parser};
 use super::json;
 use super::search::{CreateFlags, NextRow, Search};
@@ -78,7 +78,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         source: &arguments.campaign,
         name: &name,
         command: "explain",
-        subject: "transition",
+        sought: "transition",
         purpose: Purpose::Explanation(explanation.clone()),
         record: arguments.record,
         must_exist: arguments.json,
@@ -92,10 +92,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let no_findings =
         || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
     let findings = Findings::of(&subject).map_err(usage)?.ok_or_else(no_findings)?;
-    match arguments.json {
-        true => json::print(&findings),
-        false => Ok(print_line(findings.text().trim_end())?),
-    }
+    json::print_or(arguments.json, &findings, || findings.text())
 }
 
 /// Returns the next rollouts: the rows of the explained campaign, restricted to some axes.

@@ -54,10 +54,7 @@ pub(super) fn read_manifest(path: &Path) -> Result<Vec<ManifestRow>, CommandErro
 
 /// Returns the name of an input for messages.
 pub(super) fn input_name(path: &Path) -> String {
-    match is_standard_input(path) {
-        true => "standard input".to_owned(),
-        false => path.display().to_string(),
-    }
+    if is_standard_input(path) { "standard input".to_owned() } else { path.display().to_string() }
 }
 
 /// Writes a file atomically.

@@ -26,7 +26,6 @@ pub(super) async fn request(client: &Client, campaign: &NewCampaign) -> Result<F
     request_for_suites(client, &campaign.policy, rollouts).await
 }
 
-/// Requests a forecast for the given number of rollouts of each suite.
 pub(super) async fn request_for_suites(
     client: &Client,
     policy: &str,
@@ -42,7 +41,6 @@ pub(super) async fn request_for_suites(
     answer.map_err(|error| format!("failed to {error}"))
 }
 
-/// Describes a forecast, or the error that prevented it, for a terminal.
 pub(super) fn describe(answer: &Result<Forecast, String>, policy: &str) -> String {
     let forecast = match answer {
         Ok(forecast) => forecast,
@@ -80,13 +78,25 @@ pub(super) fn describe(answer: &Result<Forecast, String>, policy: &str) -> Strin
     wrapped("", 2, &words)
 }
 
-/// Prints a dry run as JSON: the campaign, its forecast and its planning.
 pub(super) fn print(
     campaign: &NewCampaign,
     answer: Result<Forecast, String>,
     planning: &[Planned],
 ) -> Result<(), CommandError> {
-    json::print(&DryRun::new(campaign, answer, planning))
+    let (forecast, no_forecast) = match answer {
+        Ok(forecast) => (Some(forecast), None),
+        Err(problem) => (None, Some(problem)),
+    };
+    json::print(&DryRun {
+        name: campaign.name.to_string(),
+        policy: campaign.policy.clone(),
+        rollouts: campaign.jobs.len(),
+        placebo_rollouts: campaign.jobs.iter().filter(|job| job.is_placebo()).count(),
+        execution: &campaign.execution,
+        planning,
+        forecast,
+        no_forecast,
+    })
 }
 
 /// Output of `campaign create --dry-run --json`; docs/JSON.md has the schema.
@@ -100,28 +110,4 @@ struct DryRun<'a> {
     planning: &'a [Planned],
     forecast: Option<Forecast>,
     no_forecast: Option<String>,
-}
-
-impl<'a> DryRun<'a> {
-    /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
-    fn new(
-        campaign: &'a NewCampaign,
-        answer: Result<Forecast, String>,
-        planning: &'a [Planned],
-    ) -> DryRun<'a> {
-        let (forecast, no_forecast) = match answer {
-            Ok(forecast) => (Some(forecast), None),
-            Err(problem) => (None, Some(problem)),
-        };
-        DryRun {
-            name: campaign.name.to_string(),
-            policy: campaign.policy.clone(),
-            rollouts: campaign.jobs.len(),
-            placebo_rollouts: campaign.jobs.iter().filter(|job| job.is_placebo()).count(),
-            execution: &campaign.execution,
-            planning,
-            forecast,
-            no_forecast,
-        }
-    }
 }

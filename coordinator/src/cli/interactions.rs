@@ -4,7 +4,7 @@
 use clap::Args;
 use report::AxisInteractions;
 
-use super::command::{CommandError, Connection, print_line};
+use super::command::{CommandError, Connection};
 use super::json;
 
 #[derive(Args, Debug)]
@@ -23,8 +23,5 @@ pub(super) async fn interactions(arguments: InteractionsArguments) -> Result<(),
     let client = arguments.connection.client()?;
     let subject = client.report(&arguments.campaign).await?;
     let interactions = AxisInteractions::of(&subject).map_err(anyhow::Error::from)?;
-    match arguments.json {
-        true => json::print(&interactions),
-        false => Ok(print_line(interactions.text().trim_end())?),
-    }
+    json::print_or(arguments.json, &interactions, || interactions.text())
 }

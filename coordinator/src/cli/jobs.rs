@@ -133,10 +133,7 @@ async fn list(client: &Client, arguments: JobsArguments) -> Result<(), CommandEr
         for job in page.into_iter().take(request.limit as usize - 1) {
             request.after_job_id = job.job_id.0;
             remaining -= 1;
-            match arguments.json {
-                true => listed.jobs.push(job),
-                false => print_line(&summary_line(&job))?,
-            }
+            if arguments.json { listed.jobs.push(job) } else { print_line(&summary_line(&job))? }
         }
         if !is_last && remaining > 0 {
             continue;
@@ -152,10 +149,7 @@ async fn list(client: &Client, arguments: JobsArguments) -> Result<(), CommandEr
 
 async fn show(client: &Client, request: GetJobRequest, json: bool) -> Result<(), CommandError> {
     let (now, details) = client.ask_at(request, Service::get_job).await?;
-    match json {
-        true => json::print(&details),
-        false => Ok(print_line(&describe_job(&details, now)?)?),
-    }
+    if json { json::print(&details) } else { Ok(print_line(&describe_job(&details, now)?)?) }
 }
 
 /// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.
@@ -178,7 +172,6 @@ fn replicate_name(job: &JobLine) -> String {
     rollout_name(&job.rollout_id, job.replicate)
 }
 
-/// Describes the state of a job, such as its lease, backoff or outcome.
 fn describe_state(job: &JobLine) -> String {
     match (job.state.as_str(), &job.worker_id, job.backoff_left_secs, &job.outcome) {
         (_, Some(worker), ..) => format!(
@@ -206,7 +199,6 @@ fn summary_line(job: &JobLine) -> String {
     line
 }
 
-/// Describes a job at the instant `now` of the coordinator.
 fn describe_job(details: &JobDetails, now: UnixMillis) -> Result<String, CommandError> {
     let job = &details.job;
     let ago = |at| duration_text(now.since(at).as_secs_f64());

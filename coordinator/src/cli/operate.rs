@@ -76,7 +76,6 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     ))?)
 }
 
-/// Prompts the operator to type the campaign's name as confirmation.
 fn prompt(name: &str) -> Result<String, CommandError> {
     if !std::io::stdin().is_terminal() {
         let error = anyhow!("pass --confirm {name} to delete its results and files for good");

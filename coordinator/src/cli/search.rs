@@ -40,9 +40,8 @@ pub(super) struct Search<'a> {
     pub(super) name: &'a str,
     /// Subcommand that creates and shows the campaign.
     pub(super) command: &'a str,
-    /// Singular noun for the items that the campaign explains or measures: `transition` or
-    /// `threshold`.
-    pub(super) subject: &'a str,
+    /// Noun for what is sought: `transition` or `threshold`.
+    pub(super) sought: &'a str,
     pub(super) purpose: Purpose,
     /// Rollouts to film; `None` stands for the setting of the source campaign.
     pub(super) record: Option<Record>,
@@ -184,10 +183,10 @@ impl Search<'_> {
             let began = Instant::now();
             if evaluated.replace(counts) != Some(counts) {
                 let subject = client.report(self.name).await?;
-                let source = subject.derived.iter().flat_map(|derived| &derived.records);
+                let mut of_source = subject.derived.iter().flat_map(|derived| &derived.records);
                 let is_open = |record: &paired::Record| record.outcome == Outcome::Missing;
                 // A rollout of the source may have been retried meanwhile.
-                if !source.into_iter().any(is_open) {
+                if !of_source.any(is_open) {
                     let rows = next(&subject, &source_spec)?;
                     if rows.is_empty() && !subject.records.iter().any(is_open) {
                         return Ok(subject);
@@ -257,7 +256,6 @@ impl Search<'_> {
         Ok(())
     }
 
-    /// Describes the number of rollouts and a forecast of their duration.
     async fn proposal(
         &self,
         client: &Client,
@@ -279,14 +277,13 @@ impl Search<'_> {
             "campaign {} takes at most {} for {}{open}",
             self.name,
             counted(prospect.rollouts(), "rollout"),
-            counted(prospect.subjects, self.subject)
+            counted(prospect.sought, self.sought)
         );
         let size = terminal::wrapped("", 2, &size);
         format!("{size}\n{}", forecast::describe(&forecast, &source.policy))
     }
 }
 
-/// Returns the specification of a campaign.
 pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
     CampaignSpec::from_json(&client.campaign(name).await?.1).map_err(usage)
 }

@@ -65,7 +65,6 @@ pub(super) async fn set(arguments: SetArguments) -> Result<(), CommandError> {
     Ok(())
 }
 
-/// Describes what a request has changed.
 fn describe(request: &AlterCampaignRequest, status: &CampaignStatus, taken_back: u64) -> String {
     let campaign = &request.campaign;
     let mut lines = Vec::new();

@@ -142,13 +142,8 @@ struct GatewayArguments {
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
     /// Further sbatch option for the gateway, such as `--gateway-sbatch=--mem=64G`. (repeatable)
-    #[arg(
-        long,
-        hide_short_help = true,
-        value_name = "OPTION",
-        allow_hyphen_values = true,
-        requires = "policy"
-    )]
+    #[arg(long, hide_short_help = true, value_name = "OPTION", allow_hyphen_values = true)]
+    #[arg(requires = "policy")]
     gateway_sbatch: Vec<String>,
 }
 
@@ -246,7 +241,6 @@ impl SlurmArguments {
         Ok(values)
     }
 
-    /// Sets the addresses of the servers, their TLS files and their tokens.
     fn set_servers(&self, values: &mut Values) -> Result<(), CommandError> {
         let endpoint = parse_endpoint(&self.connect).context("use --connect");
         let endpoint = endpoint.map_err(usage)?;
@@ -272,10 +266,7 @@ impl SlurmArguments {
             error => failure(error),
         })?;
         let scheme = endpoint.uri().scheme_str().unwrap_or_default();
-        let expected = match security.is_encrypted() {
-            true => "https",
-            false => "http",
-        };
+        let expected = if security.is_encrypted() { "https" } else { "http" };
         if scheme != expected {
             return Err(usage(anyhow!(
                 "use --connect {}: write a URL that begins with https:// if --tls-cert and \

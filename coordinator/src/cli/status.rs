@@ -93,13 +93,11 @@ async fn failing(client: &Client, campaign: &str) -> Result<Option<String>, Comm
     )))
 }
 
-/// Formats the progress of a campaign in one line, with its notes below.
 fn brief(status: &CampaignStatus) -> String {
     let notes = operator_notes(status).map(|notes| format!("\n  {notes}"));
     line(status) + &notes.unwrap_or_default()
 }
 
-/// Formats the full status of a campaign, one line per quantity.
 fn details(status: &CampaignStatus) -> String {
     let rollouts = &status.rollouts;
     let mut lines = vec![

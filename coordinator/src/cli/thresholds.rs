@@ -11,7 +11,7 @@ use paired::adaptive::radii::{Measurement, Ray};
 use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
 
-use super::command::{CommandError, Connection, print_line, usage};
+use super::command::{CommandError, Connection, usage};
 use super::files::write_figures;
 use super::json;
 use super::search::{CreateFlags, NextRow, Search};
@@ -71,7 +71,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         source: &arguments.campaign,
         name: &name,
         command: "thresholds",
-        subject: "threshold",
+        sought: "threshold",
         purpose: Purpose::Thresholds(thresholds.clone()),
         record: Some(Record::None),
         must_exist: arguments.json || arguments.figures.is_some(),
@@ -91,10 +91,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     if let Some(folder) = &arguments.figures {
         write_figures(&figures::of_thresholds(&findings), folder)?;
     }
-    match arguments.json {
-        true => json::print(&findings),
-        false => Ok(print_line(findings.text().trim_end())?),
-    }
+    json::print_or(arguments.json, &findings, || findings.text())
 }
 
 /// Returns the next rollouts: the configurations of the measured campaign at further radii.
@@ -138,7 +135,6 @@ fn condition(text: &str) -> Result<Condition, &'static str> {
     }
 }
 
-/// Returns a parser of radii within a range.
 fn radius([low, high]: [f64; 2]) -> impl Fn(&str) -> Result<f64, String> + Clone {
     move |text| match text.parse() {
         Ok(radius) if (low..=high).contains(&radius) => Ok(radius),

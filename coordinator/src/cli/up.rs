@@ -165,7 +165,6 @@ async fn run(
     }
 }
 
-/// Returns the startup message: the addresses, and example commands for another terminal.
 fn startup_message(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
     let policy = arguments.policies.first().map_or("student", |policy| policy.name.as_str());
     let connect = match coordinator {

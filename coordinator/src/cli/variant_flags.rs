@@ -23,10 +23,9 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "placebo_radius", "placebo_configs",
 ];
 
-/// Flags that conflict with `--suite-file`: those for LIBERO-Plus, LIBERO-PRO and LIBERO-Para, and
-/// the other sources of rollouts.
+/// The flags for LIBERO-Plus, LIBERO-PRO and LIBERO-Para, and the other sources of rollouts.
 #[rustfmt::skip]
-const VARIANT_FLAGS: [&str; 10] = [
+const NOT_WITH_SUITE_FILE: [&str; 10] = [
     "suite", "rows", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
     "paraphrases", "runnable",
 ];
@@ -42,39 +41,24 @@ pub(super) struct VariantFlags {
     /// Tasks of a suite file, a further benchmark in JSON as docs/FAMILY.md describes it; with
     /// --axes, under a design, otherwise unperturbed. `-` reads standard input.
     #[arg(long, value_name = "FILE", hide_short_help = true,
-        conflicts_with_all = VARIANT_FLAGS)]
+        conflicts_with_all = NOT_WITH_SUITE_FILE)]
     suite_file: Option<PathBuf>,
     /// Evaluation protocol, see docs/FAMILY.md. If omitted, that of the benchmark's published
     /// table: `plus-official`, `pro-official` or `para-official`.
     #[arg(long, value_name = "NAME", requires = "suite", hide_short_help = true)]
     protocol: Option<Protocol>,
     /// Variants of LIBERO-Plus, by the benchmark's names.
-    #[arg(
-        long = "variant",
-        value_name = "NAME,...",
-        value_delimiter = ',',
-        requires = "suite",
-        hide_short_help = true
-    )]
+    #[arg(long = "variant", value_name = "NAME,...", value_delimiter = ',', requires = "suite")]
+    #[arg(hide_short_help = true)]
     variants: Vec<Variant>,
     /// Variants of these suites: `libero_goal` of LIBERO-Plus, `libero_goal_swap` of LIBERO-PRO.
-    #[arg(
-        long,
-        value_name = "SUITE,...",
-        value_delimiter = ',',
-        requires = "suite",
-        hide_short_help = true
-    )]
+    #[arg(long, value_name = "SUITE,...", value_delimiter = ',', requires = "suite")]
+    #[arg(hide_short_help = true)]
     suites: Vec<String>,
     /// Variants of LIBERO-Plus in these dimensions: background, robot, camera, language, noise,
     /// layout, light.
-    #[arg(
-        long = "dimension",
-        value_name = "NAME,...",
-        value_delimiter = ',',
-        requires = "suite",
-        hide_short_help = true
-    )]
+    #[arg(long = "dimension", value_name = "NAME,...", value_delimiter = ',', requires = "suite")]
+    #[arg(hide_short_help = true)]
     dimensions: Vec<Dimension>,
     /// Variants of LIBERO-Plus of these difficulties: 1 to 5, or 0 for variants without a
     /// difficulty.
@@ -84,13 +68,8 @@ pub(super) struct VariantFlags {
     /// Sentences of LIBERO-Para of these types: entries of the columns `high`, `mid` and `low` of
     /// its metadata, such as obj, structural and hint, or all three joined, such as
     /// act_pragmatical_hint. `--tasks libero_goal/8` selects the sentences of a task.
-    #[arg(
-        long = "paraphrase",
-        value_name = "TYPE,...",
-        value_delimiter = ',',
-        requires = "suite",
-        hide_short_help = true
-    )]
+    #[arg(long = "paraphrase", value_name = "TYPE,...", value_delimiter = ',', requires = "suite")]
+    #[arg(hide_short_help = true)]
     paraphrases: Vec<TypeName>,
     /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50 for LIBERO-PRO, or the
     /// number in the suite file.

@@ -23,10 +23,7 @@ pub(super) async fn watch(
     name: Option<&str>,
 ) -> Result<Vec<CampaignStatus>, CommandError> {
     let mut screen = Screen { is_terminal: std::io::stdout().is_terminal(), ..Screen::default() };
-    let period = match screen.is_terminal {
-        true => TERMINAL_PERIOD,
-        false => LOG_PERIOD,
-    };
+    let period = if screen.is_terminal { TERMINAL_PERIOD } else { LOG_PERIOD };
     screen.print(&format!(
         "ETA: rollouts left divided by the rate of the last {} minutes, or of the time\n\
          since the first rollout or the last resume, if that is shorter.",

@@ -16,7 +16,6 @@ use tonic::Status;
 pub(super) struct Detached(Mutex<JoinSet<()>>);
 
 impl Detached {
-    /// Runs a change in a task of its own, and returns its result.
     pub(super) async fn run<T: Send + 'static>(
         &self,
         change: impl Future<Output = T> + Send + 'static,

@@ -23,15 +23,14 @@ use super::backup;
 use super::detached::Detached;
 use super::failure::{Answer, failed, invalid};
 use super::streams::{Large, Turns};
-use super::{moving, read};
+use super::{archives, read};
 use crate::export;
-use crate::report;
 use crate::storage::Storage;
+use crate::subject;
 
 /// Size of each message of a report, bytes.
 const REPORT_PART_BYTES: usize = 1 << 20;
 
-/// Operator service of a queue.
 #[derive(Debug)]
 pub(super) struct OperatorApi {
     pub(super) queue: Arc<Queue>,
@@ -194,8 +193,8 @@ impl OperatorService for OperatorApi {
     ) -> Result<Response<Self::ReportStream>, Status> {
         let turn = self.turns.wait().await?;
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
-        let mut subject = report::subject(&mut view, &campaign).await.map_err(failed)?;
-        let setups = report::setups(&mut view, &campaign).await;
+        let mut subject = subject::read(&mut view, &campaign).await.map_err(failed)?;
+        let setups = subject::setups(&mut view, &campaign).await;
         subject.setups = setups.map_err(failed)?;
         drop(view);
         let json = tokio::task::spawn_blocking(move || serde_json::to_vec(&subject)).await;
@@ -227,7 +226,7 @@ impl OperatorService for OperatorApi {
     ) -> Result<Response<Self::ArchiveCampaignStream>, Status> {
         let name = campaign_name(&request.into_inner().campaign)?;
         let turn = self.turns.wait().await?;
-        let chunks = moving::archive(&self.queue, self.storage.as_deref(), &name).await?;
+        let chunks = archives::archive(&self.queue, self.storage.as_deref(), &name).await?;
         Ok(Response::new(turn.send(chunks)))
     }
 
@@ -236,7 +235,7 @@ impl OperatorService for OperatorApi {
         request: Request<Streaming<wire::ImportChunk>>,
     ) -> Answer<wire::Answer> {
         let imported =
-            moving::import(&self.queue, &self.changes, request.into_inner(), self.min_free_bytes);
+            archives::import(&self.queue, &self.changes, request.into_inner(), self.min_free_bytes);
         answer(self.queue.now(), &imported.await?)
     }
 
@@ -263,7 +262,6 @@ impl OperatorService for OperatorApi {
     }
 }
 
-/// Answers with a value as JSON.
 fn answer(now: UnixMillis, value: &impl Serialize) -> Answer<wire::Answer> {
     let json = serde_json::to_string(value);
     let json = json.map_err(|error| Status::internal(error.to_string()))?;

@@ -134,7 +134,6 @@ pub(super) fn change(change: i32) -> Result<Change, Status> {
     }
 }
 
-/// Accepts a priority within [`PRIORITIES`].
 pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     if PRIORITIES.contains(&priority) {
         return Ok(priority);
@@ -155,7 +154,6 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     })
 }
 
-/// Returns the number of rollouts by suite.
 pub(super) fn rollouts_by_suite(
     requests: Vec<wire::SuiteRollouts>,
 ) -> Result<BTreeMap<String, u64>, Status> {
@@ -170,7 +168,6 @@ pub(super) fn rollouts_by_suite(
     Ok(rollouts)
 }
 
-/// Reads the filters of `ListJobs`.
 pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
     let non_empty = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
     let condition = non_empty(&request.condition).map(|name| name.parse());
@@ -230,7 +227,6 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
     }
 }
 
-/// Reads the rows to be added to a campaign.
 pub(super) fn rows(rows: Vec<wire::AppendedRow>) -> Result<Vec<AppendedRow>, Status> {
     let read = |(index, row): (usize, wire::AppendedRow)| {
         let unreadable = |error| {
@@ -244,7 +240,6 @@ pub(super) fn rows(rows: Vec<wire::AppendedRow>) -> Result<Vec<AppendedRow>, Sta
     rows.into_iter().enumerate().map(read).collect()
 }
 
-/// Reads the names of 1 to [`MAX_JOBS_RETRIED`] jobs.
 pub(super) fn job_names(jobs: Vec<wire::JobName>) -> Result<Vec<JobName>, Status> {
     match jobs.len() {
         1..=MAX_JOBS_RETRIED => jobs.into_iter().map(job_name).collect(),

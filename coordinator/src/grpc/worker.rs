@@ -30,7 +30,6 @@ const MAX_TASKS: usize = 1024;
 /// Name of the only accepted artifact.
 const VIDEO: &str = "video.mp4";
 
-/// Worker service of a queue.
 #[derive(Debug)]
 pub(super) struct WorkerApi {
     pub(super) queue: Arc<Queue>,

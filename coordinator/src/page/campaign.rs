@@ -1,8 +1,8 @@
 //! Page of one campaign: progress, and the report so far.
 
-use ::report::Document;
 use benchmark::RolloutId;
 use maud::{Markup, html};
+use report::Document;
 
 use super::campaigns::progress;
 use super::layout::{Sheet, Tab};
@@ -44,8 +44,8 @@ fn statistics(document: &Document, name: &str) -> Markup {
     let measuring_campaign = explained.map_or(name, |findings| findings.campaign.as_str());
     let link = |id: RolloutId, replicate: u32| address(measuring_campaign, id, replicate);
     html! {
-        (::report::page_warnings(document))
-        (::report::sections(document, Some(&link)))
+        (report::page_warnings(document))
+        (report::sections(document, Some(&link)))
     }
 }
 
@@ -59,7 +59,7 @@ pub(super) fn address(campaign: &str, rollout: RolloutId, replicate: u32) -> Str
 
 /// Renders the name of a rollout, linked to the page of its configuration.
 pub(super) fn rollout(campaign: &str, id: &str, replicate: u32) -> Markup {
-    let name = ::report::rollout_name(id, replicate);
+    let name = report::rollout_name(id, replicate);
     html! {
         @match id.parse() {
             Ok(id) => a href=(address(campaign, id, replicate)) { code { (name) } },

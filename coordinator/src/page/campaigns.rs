@@ -140,7 +140,7 @@ fn describe_early_stop(status: &CampaignStatus) -> String {
     };
     let configurations = [used.into(), early.configurations.into()];
     let rollouts = [status.rollouts.queued, status.rollouts.total()];
-    ::report::describe_early_stop(configurations, &early.stop.rule.to_string(), rollouts)
+    report::describe_early_stop(configurations, &early.stop.rule.to_string(), rollouts)
 }
 
 /// Returns the number of queued and leased rollouts.

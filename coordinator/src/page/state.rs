@@ -5,12 +5,12 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use ::report::{Comparison, Document, Unpairable};
 use axum::http::{HeaderMap, Uri};
 use axum::response::{IntoResponse, Redirect, Response};
 use queue::Queue;
 use queue::ids::{CampaignName, shortened};
 use queue::read::{Campaign, Edition, View};
+use report::{Comparison, Document, Unpairable};
 use transport::Security;
 
 use super::answer::Rendered;
@@ -19,8 +19,8 @@ use super::layout::{self, Sheet};
 use super::problem::Problem;
 use super::single_flight::{CachedValue, SingleFlightCache};
 use crate::gauges::Gauges;
-use crate::report;
 use crate::storage::Storage;
+use crate::subject;
 
 /// Longest accepted path and query, bytes.
 const MAX_ADDRESS_BYTES: usize = 1_024;
@@ -178,7 +178,7 @@ impl Page {
         let (queue, campaign) = (self.queue.clone(), campaign.clone());
         let name = campaign.name.clone();
         let compute = async move {
-            let subject = report::subject(&mut queue.view().await?, &campaign).await?;
+            let subject = subject::read(&mut queue.view().await?, &campaign).await?;
             on_blocking_thread(move || Document::new(vec![subject]))
                 .await?
                 .map_err(|error| Problem::failed(&error))
@@ -205,7 +205,8 @@ impl Page {
         let compute = async move {
             let mut view = queue.view().await?;
             let [a, b] = &campaigns;
-            let setups = [report::setups(&mut view, a).await?, report::setups(&mut view, b).await?];
+            let setups =
+                [subject::setups(&mut view, a).await?, subject::setups(&mut view, b).await?];
             drop(view);
             on_blocking_thread(move || {
                 let analyses = [&of_a, &of_b].map(|document| &document.analyses[0]);

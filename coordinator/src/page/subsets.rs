@@ -1,11 +1,11 @@
 //! Section on a configuration under every subset of the axes: the lattice figure, the minimal
 //! subsets that change its outcome, and their films.
 
-use ::report::figures;
 use benchmark::RolloutId;
 use maud::{Markup, html};
 use paired::adaptive::subsets::Explained;
 use queue::read::{Campaign, View};
+use report::figures;
 
 use super::campaign::address;
 use super::films;

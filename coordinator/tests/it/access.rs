@@ -77,7 +77,6 @@ impl GuardedCoordinator {
 
 type WithToken = Box<dyn FnMut(Request<()>) -> Result<Request<()>, Status>>;
 
-/// Returns a service that sends a token, or none, with every call.
 fn with_token(channel: &Channel, token: Option<&str>) -> InterceptedService<Channel, WithToken> {
     let value = token.map(|token| format!("Bearer {token}").parse().expect("a header"));
     let add_token: WithToken = Box::new(move |mut request: Request<()>| {
@@ -210,7 +209,6 @@ async fn an_oversized_message_is_refused_before_it_is_read() {
     assert_eq!(guarded.rows().await, before);
 }
 
-/// Lists the campaigns over TLS with the certificate authority in a file.
 fn list_over_tls(guarded: &GuardedCoordinator, ca: &Path) -> Output {
     let port = guarded.serve.url.rsplit(':').next().expect("a port");
     let tokens = guarded.folder.path().join("tokens");

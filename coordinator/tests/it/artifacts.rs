@@ -29,7 +29,6 @@ pub(crate) async fn put(
     Ok(worker.service.put_artifact(request).await?.into_inner().path)
 }
 
-/// Starts a coordinator and a worker, and commits one rollout.
 async fn committed() -> (Bench, Worker, wire::Lease) {
     let bench = Bench::with(&small_spec("filmed")).await;
     let (mut worker, lease) = bench.worker_with_lease("a").await;

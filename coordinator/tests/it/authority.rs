@@ -1,4 +1,4 @@
-//! A certificate authority, whose files only this user may read.
+//! A certificate authority, whose files only this user may read. Shared with other packages' tests.
 
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;

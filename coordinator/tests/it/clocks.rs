@@ -75,7 +75,6 @@ async fn store_every_instant(bench: &Bench) {
     pool.close().await;
 }
 
-/// Returns the latest instant in a column.
 async fn latest(bench: &Bench, table: &str, column: &str) -> Option<i64> {
     let pool = bench.database().await;
     let statement = format!("SELECT max({column}) FROM {table}");

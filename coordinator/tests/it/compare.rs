@@ -110,7 +110,6 @@ fn every_pair_of_several_policies_is_compared() {
     assert_eq!(json.as_array().map(Vec::len), Some(3));
 }
 
-/// Returns the comparison that `coordinator compare` makes of two campaigns of a bench.
 async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
     let mut subjects = Vec::new();
     for name in names {

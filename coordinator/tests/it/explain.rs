@@ -51,7 +51,6 @@ fn create(serve: &Serve) {
     create_with(serve, &[]);
 }
 
-/// Creates the campaign `first` with additional flags.
 pub(crate) fn create_with(serve: &Serve, flags: &[&str]) {
     #[rustfmt::skip]
     let arguments = [
@@ -62,7 +61,6 @@ pub(crate) fn create_with(serve: &Serve, flags: &[&str]) {
     succeed(serve.command(&[&arguments[..], flags].concat()));
 }
 
-/// Runs all derived rollouts and returns the complete findings.
 pub(crate) async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
     complete_findings(serve, "explain", arguments, outcome).await
 }

@@ -21,7 +21,6 @@ async fn page(serve: &Serve, path: &str) -> String {
     answer.text()
 }
 
-/// Returns the output of a command that succeeds.
 fn printed(serve: &Serve, arguments: &[&str]) -> String {
     succeed(serve.command(arguments))
 }

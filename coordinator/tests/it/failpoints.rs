@@ -29,7 +29,6 @@ const EXPIRING_SWEEP: u32 = 5;
 /// Longest time until a process reaches its failpoint.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Starts `coordinator serve` on a folder, to be killed at a failpoint.
 pub(crate) fn serve(folder: &Path, point: &str) -> Child {
     let mut command = serve_command(folder);
     let lease = ["--lease-secs", &LEASE_SECS.to_string()];
@@ -90,7 +89,6 @@ async fn retry_all(
     operator.retry_jobs(request).await.map(|_| ())
 }
 
-/// Archives a campaign and imports it under another name.
 async fn copy(
     operator: &mut OperatorServiceClient<tonic::transport::Channel>,
     campaign: &str,

@@ -15,7 +15,6 @@ use crate::harness::{Bench, Worker, small_spec, with};
 /// Time after which every back-off is over, seconds.
 const PAST_BACKOFF_SECS: u64 = 70;
 
-/// Starts a coordinator with a campaign of one rollout.
 async fn one_job() -> Bench {
     let bench = Bench::start().await;
     let spec = with(small_spec("one"), json!({"axes": ["camera"], "nominal": "none"}));

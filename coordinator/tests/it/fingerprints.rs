@@ -14,7 +14,6 @@ use crate::page::http;
 /// Longest wait for the newest results on a page, which shows slightly older ones.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Returns the texts on fingerprints in the campaign's status and in its report.
 async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
     let json = report_json(&mut bench.operator().await, "mixed").await;
     let subject = serde_json::from_slice(&json).expect("a subject");

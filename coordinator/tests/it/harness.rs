@@ -39,7 +39,6 @@ const SWEEP_SECS: u64 = 10;
 /// Number of coordinators started so far.
 static STARTS: AtomicU64 = AtomicU64::new(0);
 
-/// A running coordinator.
 pub(crate) struct Bench {
     pub(crate) folder: TempDir,
     pub(crate) clock: Arc<ManualClock>,
@@ -93,7 +92,6 @@ impl Bench {
         Bench::start_in(folder, clock).await
     }
 
-    /// Starts a coordinator with a campaign.
     pub(crate) async fn with(spec: &Value) -> Bench {
         let bench = Bench::start().await;
         bench.create(spec).await.expect("created");
@@ -127,7 +125,6 @@ impl Bench {
         Bench { folder, clock, queue, url: format!("http://{address}"), stop, served }
     }
 
-    /// Shuts the coordinator down gracefully.
     pub(crate) async fn stop(self) -> TempDir {
         self.stop.send(()).expect("a running coordinator");
         self.served.join_all().await;
@@ -261,7 +258,6 @@ impl Bench {
         open_database(self.folder.path()).await
     }
 
-    /// Returns the number that a query yields.
     pub(crate) async fn count(&self, sql: &'static str) -> i64 {
         let pool = self.database().await;
         let count = sqlx::query_scalar(sql).fetch_one(&pool).await;
@@ -318,7 +314,6 @@ impl Worker {
         }
     }
 
-    /// Claims exactly one job, which must be available.
     pub(crate) async fn claim_one(&mut self) -> wire::Lease {
         let mut leases = self.claim(1).await;
         assert_eq!(leases.len(), 1, "a job is available");
@@ -436,7 +431,6 @@ impl Worker {
         self.release_after(lease, reason, None).await
     }
 
-    /// Reports that the policy was lost after `answered` queries.
     pub(crate) async fn lose_policy(
         &mut self,
         lease: &wire::Lease,
@@ -502,7 +496,6 @@ pub(crate) fn small_spec(name: &str) -> Value {
     })
 }
 
-/// Returns a specification with some fields changed.
 pub(crate) fn with(mut spec: Value, changes: Value) -> Value {
     let changes = changes.as_object().expect("fields");
     for (field, value) in changes {
@@ -554,7 +547,6 @@ pub(crate) async fn open_database(folder: &Path) -> SqlitePool {
     SqlitePool::connect_with(options).await.expect("a database")
 }
 
-/// Returns the results of a campaign for a report, as JSON.
 pub(crate) async fn report_json(
     operator: &mut OperatorServiceClient<Channel>,
     campaign: &str,
@@ -568,7 +560,6 @@ pub(crate) async fn report_json(
     json
 }
 
-/// Asserts that the database of a data folder violates no invariant.
 pub(crate) async fn assert_sound(folder: &Path) {
     let violations = queue::invariants::check(folder).await.expect("a database");
     assert_eq!(violations, []);
@@ -599,7 +590,6 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
     rows
 }
 
-/// Returns the SHA-256 of a text, in place of a real digest.
 pub(crate) fn sha(text: &str) -> String {
     use sha2::{Digest, Sha256};
     hex::encode(Sha256::digest(text.as_bytes()))

@@ -11,8 +11,8 @@ use serde_json::{Value, json};
 use crate::artifacts::put;
 use crate::failpoints::serve;
 use crate::harness::{open_database, rollout_id, small_spec, with};
-use crate::moving::{Bench, members, write};
 use crate::process::Serve;
+use crate::transfers::{Bench, members, write};
 
 /// Alters the lines of an archive's rollouts, and recomputes the archive's table of contents.
 pub(crate) fn alter(archive: &Path, into: &Path, alter: impl FnOnce(&mut Vec<Value>)) {
@@ -139,7 +139,6 @@ fn large_spec() -> Value {
     )
 }
 
-/// Returns the numbers of campaigns and of jobs in a data folder.
 async fn counts(folder: &Path) -> (i64, i64) {
     let pool = open_database(folder).await;
     let counts = "SELECT (SELECT count(*) FROM campaign), (SELECT count(*) FROM job)";

@@ -113,7 +113,6 @@ const BREACHES: [(&str, &str, &str); 20] = [
     ),
 ];
 
-/// Returns a database that no coordinator uses, with jobs in every state.
 pub(crate) async fn valid_database() -> TempDir {
     let spec = with(small_spec("sound"), json!({"configs": [0, 1]}));
     let bench = Bench::with(&spec).await;

@@ -10,7 +10,6 @@ use serde_json::{Value, json};
 pub(crate) use crate::json_keys::{documented, keys};
 use crate::process::{CREATE, Serve, fits_a_terminal, succeed, text};
 
-/// JSON that a command printed.
 struct Printed(Value);
 
 impl Printed {

@@ -1,4 +1,4 @@
-//! Keys that commands print as JSON, and keys that docs/JSON.md documents.
+//! Keys that commands print as JSON, and keys that docs/JSON.md documents. Shared with the gateway.
 
 use std::collections::BTreeSet;
 

@@ -10,7 +10,6 @@ use crate::process::{coordinator, fail, succeed, text};
 
 const SCRIPTS: [&str; 3] = ["coordinator.sh", "gateway.sbatch", "workers.sbatch"];
 
-/// Returns a folder with empty files named like the programs.
 fn programs() -> tempfile::TempDir {
     let folder = tempfile::tempdir().expect("a temporary folder");
     for name in ["coordinator", "worker", "policy-gateway"] {

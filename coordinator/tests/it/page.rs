@@ -14,7 +14,6 @@ use crate::assertions::assert_contains;
 use crate::harness::{Bench, small_spec};
 use crate::process::{coordinator, text};
 
-/// Read timeout of a socket.
 const READ_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// An answer over HTTP/1.1.

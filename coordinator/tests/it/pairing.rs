@@ -11,7 +11,6 @@ use tonic::Code;
 use crate::assertions::{assert_contains, assert_refused};
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
-/// Commits two siblings and returns the lease of a third.
 async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
     let bench = Bench::with(&small_spec("paired")).await;
     let mut worker = bench.worker("a").await;

@@ -118,7 +118,6 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     ended.expect("no panic").expect("no error");
 }
 
-/// Returns the names that a source file gives to its background tasks.
 fn tasks_of(source: &str) -> Vec<&str> {
     let calls = source.split("spawn(").skip(1);
     calls.filter_map(|call| Some(call.trim_start().strip_prefix('"')?.split_once('"')?.0)).collect()

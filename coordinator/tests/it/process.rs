@@ -140,7 +140,6 @@ impl Serve {
         assert_contains(&printed, parts);
     }
 
-    /// Creates a campaign of a specification.
     pub(crate) fn create(&self, spec: &Value) {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), spec.to_string()).expect("written");
@@ -148,7 +147,6 @@ impl Serve {
         succeed(self.command(&["campaign", "create", "--spec", path]));
     }
 
-    /// Runs another command of the program against this coordinator.
     pub(crate) fn command(&self, arguments: &[&str]) -> Output {
         coordinator(&[arguments, &["--connect", &self.url]].concat())
     }
@@ -179,7 +177,6 @@ pub(crate) fn coordinator(arguments: &[&str]) -> Output {
         .expect("runs")
 }
 
-/// Returns the output of a program that succeeded.
 pub(crate) fn succeed(output: Output) -> String {
     assert!(output.status.success(), "{}", text(&output.stderr));
     text(&output.stdout).to_owned()
@@ -189,7 +186,6 @@ pub(crate) fn succeed_in_json(output: Output) -> Value {
     serde_json::from_str(&succeed(output)).expect("JSON")
 }
 
-/// Returns the message of a program that exited with `code`.
 pub(crate) fn fail(output: Output, code: i32) -> String {
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(code), "{error}");
@@ -202,7 +198,6 @@ pub(crate) fn fits_a_terminal(text: &str) {
     }
 }
 
-/// Returns the specification `plus` of variants of LIBERO-Plus, as the command line prints it.
 #[rustfmt::skip]
 pub(crate) fn plus_spec(variants: &str) -> Value {
     succeed_in_json(coordinator(&[

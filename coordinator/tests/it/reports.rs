@@ -33,13 +33,11 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
     }
 }
 
-/// A report as JSON and as text.
 struct Report {
     json: Value,
     table: String,
 }
 
-/// Returns the report that `coordinator report` computes from the coordinator's answer.
 async fn report(bench: &Bench) -> Report {
     let request = wire::ReportRequest { campaign: "reported".to_owned() };
     let parts = bench.operator().await.report(request).await;

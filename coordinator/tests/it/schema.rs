@@ -2,7 +2,6 @@
 
 use crate::harness::{Bench, small_spec};
 
-/// Invalid statements, each with the constraint that refuses it.
 const INVALID_STATEMENTS: &[(&str, &str)] = &[
     ("UPDATE job SET state = 'lost' WHERE state = 'queued'", "CHECK"),
     ("UPDATE job SET state = 'queued' WHERE state = 'leased'", "CHECK"),

@@ -18,7 +18,6 @@ use crate::process::{Serve, coordinator, succeed, succeed_in_json};
 /// Longest time that a campaign with planted outcomes may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Function that gives the planted outcome of a rollout.
 pub(crate) type Planted = fn(&RolloutId) -> Outcome;
 
 /// Runs waiting jobs until none is left.
@@ -36,12 +35,10 @@ pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
     }
 }
 
-/// Returns the findings so far of the search of the campaign `first`.
 pub(crate) fn findings(serve: &Serve, command: &str, arguments: &[&str]) -> Value {
     succeed_in_json(serve.command(&[&[command, "first", "--json"], arguments].concat()))
 }
 
-/// Runs a search to its end, with a worker that runs its rollouts. Returns the findings.
 pub(crate) async fn searched(
     serve: &Serve,
     worker: &mut Worker,
@@ -64,7 +61,6 @@ pub(crate) async fn searched(
     findings
 }
 
-/// Runs a search of the campaign `first` to its end. Returns the findings.
 pub(crate) async fn complete_findings(
     serve: &Serve,
     command: &str,

@@ -43,7 +43,6 @@ impl Bucket {
         bucket
     }
 
-    /// Returns the keys of the stored objects.
     fn keys(&self) -> Vec<String> {
         let list = send(&format!("http://{}", self.address), "GET /films?list-type=2");
         let body = list.text();
@@ -59,13 +58,11 @@ impl Drop for Bucket {
     }
 }
 
-/// Returns an address on which no program listens.
 fn free_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
 }
 
-/// Returns the environment variables that lead to a bucket.
 fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
     vec![
         ("AWS_ENDPOINT_URL", format!("http://{address}")),
@@ -76,7 +73,6 @@ fn variables(address: SocketAddr) -> Vec<(&'static str, String)> {
     ]
 }
 
-/// Starts a coordinator that stores its films at `place`.
 fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
     let variables = variables.iter().map(|(name, value)| (name, value));
     Serve::spawn(serve_command(data).env("ROLLOUT_ARTIFACTS", place).envs(variables))
@@ -94,7 +90,6 @@ async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     rollout_id(&lease)
 }
 
-/// Counts the films in the data folder.
 fn local_films(folder: &TempDir) -> usize {
     let films = std::fs::read_dir(folder.path().join("artifacts/filmed"));
     films.map_or(0, Iterator::count)

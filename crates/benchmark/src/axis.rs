@@ -23,7 +23,6 @@ pub enum Axis {
     Latency,
 }
 
-/// Definition of an axis.
 pub struct AxisDef {
     pub axis: Axis,
     /// Name in rollout ids, manifests, columns and command lines.

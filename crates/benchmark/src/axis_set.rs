@@ -101,10 +101,7 @@ const EMPTY: &str = "none";
 static NAMES: LazyLock<Vec<String>> = LazyLock::new(|| {
     let name = |bits| {
         let names: Vec<&str> = AxisSet(bits).axes().map(Axis::name).collect();
-        match names.is_empty() {
-            true => EMPTY.to_owned(),
-            false => names.join("+"),
-        }
+        if names.is_empty() { EMPTY.to_owned() } else { names.join("+") }
     };
     (0..1 << AXES.len()).map(name).collect()
 });

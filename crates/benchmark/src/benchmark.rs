@@ -34,7 +34,6 @@ impl Benchmark {
         }
     }
 
-    /// Returns the commands that fetch the task files.
     pub const fn fetch_command(self) -> &'static str {
         match self {
             Self::Plus => "worker assets fetch --suite libero-plus",

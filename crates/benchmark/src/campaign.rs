@@ -138,7 +138,6 @@ impl Rollouts {
 }
 
 impl Purpose {
-    /// Returns the name of the source.
     pub fn source(&self) -> &str {
         match self {
             Self::Explanation(Explanation { campaign, .. })
@@ -220,7 +219,6 @@ impl CampaignSpec {
         Ok(())
     }
 
-    /// Validates rows to be run under this specification.
     pub fn check_rows(&self, rows: &[ManifestRow]) -> Result<(), SpecError> {
         manifest::check(rows)?;
         let (row_model, given) = (manifest::execution(rows), self.execution.clone());

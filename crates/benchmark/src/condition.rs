@@ -40,7 +40,6 @@ impl Condition {
         }
     }
 
-    /// Returns the axes that the condition perturbs in a campaign of the given axes.
     pub const fn axes(self, campaign: AxisSet) -> AxisSet {
         match self {
             Self::Nominal | Self::Variant => AxisSet::EMPTY,

@@ -33,7 +33,6 @@ pub struct Design {
     pub nominal: Nominal,
     /// Seed of the configurations beyond the presets, and of task-specific directions.
     pub seed: u64,
-    /// Source of the directions of the configurations.
     pub directions: Directions,
     /// Settings of the placebo level; the defaults if L0 is not among `levels`.
     pub placebo: Placebo,
@@ -124,10 +123,7 @@ impl Design {
         }
         let perturbs_nothing = self.axes.is_empty();
         if perturbs_nothing != self.levels.is_empty() {
-            let missing = match perturbs_nothing {
-                true => "axes",
-                false => "levels",
-            };
+            let missing = if perturbs_nothing { "axes" } else { "levels" };
             return empty(
                 missing,
                 "axes and levels go together: give both, or neither for nominal rollouts",
@@ -198,7 +194,6 @@ impl Design {
         level != Level::L0 || self.placebo.includes(config)
     }
 
-    /// Returns the axes that the design combines.
     pub fn axis_set(&self) -> AxisSet {
         self.axes.iter().copied().collect::<AxisSet>().combined()
     }
@@ -276,7 +271,6 @@ impl Design {
     }
 }
 
-/// Checks that a single axis can run at a level.
 pub(crate) fn check_at(condition: Condition, level: Level) -> Result<(), DesignError> {
     match condition {
         Condition::Single(axis) if !axis.def().radii.contains(level) => {

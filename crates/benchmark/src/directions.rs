@@ -9,10 +9,8 @@ use crate::presets::{PRESETS, half_space, preset_direction, unit};
 use crate::streams::{MatchedRng, MatchedStream};
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
-/// Largest number of configurations of a design.
 pub const MAX_CONFIGS: u16 = 1_000;
 
-/// Source of the directions of a design's configurations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Directions {

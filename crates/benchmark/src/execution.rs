@@ -17,7 +17,6 @@ pub const CONTROL_HZ: u32 = 20;
 /// Ten seconds, in control steps.
 pub const MAX_DELAY: u16 = 200;
 const MAX_DISTINCT_DELAYS: usize = 32;
-/// Largest weight of one delay.
 const MAX_WEIGHT: u32 = 1000;
 /// Part of the key of drawn delays; it must change whenever the drawn values change.
 const STREAM_VERSION: &str = "libero-ctrl/v0.1/latency/1";

@@ -145,7 +145,6 @@ impl Design {
         Ok(self.perturbed_row(task, condition, level, config))
     }
 
-    /// Returns the row of one perturbed rollout of a validated design.
     pub(crate) fn perturbed_row(
         &self,
         task: TaskRef,
@@ -177,7 +176,6 @@ impl Design {
 }
 
 impl ManifestRow {
-    /// Gives the row its level's paraphrase of a task's instruction.
     fn paraphrase_as(&mut self, task: TaskRef) {
         // A level has ten paraphrases; configurations from 10 on repeat them.
         let paraphrase = paraphrase(task, self.id.level(), self.id.number() % PRESETS);

@@ -16,7 +16,6 @@ pub fn delay_at(level: Level) -> Option<u16> {
     is_run.then_some((level.radius() * STEPS_PER_RADIUS) as u16)
 }
 
-/// Returns the execution model of the latency axis at a level.
 pub fn execution_at(level: Level) -> Option<Execution> {
     let delays = Delays::fixed(delay_at(level)?)?;
     Some(Execution::Overlap { delays, rtc: false })

@@ -96,7 +96,6 @@ const MIN_MICROS: u32 = MICROS / 1_000;
 /// overflows single precision.
 const MAX_MICROS: u32 = 100 * MICROS;
 
-/// Parses a decimal number into micros.
 fn micros(text: &str) -> Option<u32> {
     let (whole, decimals) = text.split_once('.').unwrap_or((text, "0"));
     let has_only_digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());

@@ -332,7 +332,6 @@ fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
     Ok(())
 }
 
-/// Calls `report` for every value that differs, with its path.
 fn compare(path: &str, left: &Value, right: &Value, report: &mut impl FnMut(&str, &Value, &Value)) {
     let (Value::Object(left_fields), Value::Object(right_fields)) = (left, right) else {
         if left != right {

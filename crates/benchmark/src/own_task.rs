@@ -125,7 +125,6 @@ impl Changes {
     }
 }
 
-/// A field with a value that is not valid.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("`{field}` is {given}: {remedy}")]
 pub struct InvalidField {

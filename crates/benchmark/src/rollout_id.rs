@@ -78,7 +78,6 @@ impl RolloutId {
         self.task
     }
 
-    /// Returns the condition: the perturbed axes.
     pub const fn condition(&self) -> Condition {
         self.condition
     }

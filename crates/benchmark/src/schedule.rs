@@ -37,7 +37,6 @@ pub struct Schedule {
     current: Option<Answer>,
     /// The last response, until it takes effect.
     pending: Option<Answer>,
-    /// Last command of the gripper.
     gripper: f64,
 }
 

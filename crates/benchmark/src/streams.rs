@@ -58,7 +58,6 @@ impl MatchedStream {
         Self::named(&format!("{STREAM_VERSION}/{task}/{level}/c{config}/{axis}"))
     }
 
-    /// Creates the stream with the given name.
     pub(crate) fn named(name: &str) -> Self {
         Self { key: Sha256::digest(name.as_bytes()).into() }
     }

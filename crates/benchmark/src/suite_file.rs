@@ -34,7 +34,6 @@ const MAX_PROMPT_BYTES: usize = 4096;
 /// Number of digits of a file's digest in the name of its protocol.
 const DIGEST_DIGITS: usize = 16;
 
-/// Source of the prompts of a suite file's tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SuitePrompt {

@@ -21,7 +21,6 @@ pub struct Wanted {
     pub look: Option<Look>,
 }
 
-/// Renderer of a worker's frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum RendererKind {

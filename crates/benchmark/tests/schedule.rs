@@ -85,10 +85,7 @@ fn timeline(
         for (offset, index) in used.enumerate() {
             timeline[step + delay + offset] = Some((query, index));
         }
-        step += match overlaps {
-            true => delay.max(count.min(execute)).max(1),
-            false => delay + count,
-        };
+        step += if overlaps { delay.max(count.min(execute)).max(1) } else { delay + count };
     }
     timeline.truncate(STEPS);
     (query_steps, timeline)

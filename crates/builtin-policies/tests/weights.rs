@@ -10,7 +10,6 @@ fn refusal(weights: &Weights) -> WeightsError {
     Network::from_safetensors(&weights.bytes()).expect_err("a refusal")
 }
 
-/// Returns the error for weights that `change` has made invalid.
 fn error_after(change: impl FnOnce(&mut Weights)) -> WeightsError {
     let mut weights = Weights::random(3);
     change(&mut weights);

@@ -55,7 +55,6 @@ impl Table {
         coverage.add(interval, truth);
     }
 
-    /// Adds the estimate's interval for each target.
     fn add_each(&mut self, name: &str, estimate: &Estimate, truths: [f64; 3]) {
         let intervals =
             [estimate.these_tasks, estimate.new_tasks, estimate.new_tasks_and_directions];

@@ -95,7 +95,6 @@ impl Bootstrap {
         Some((0..count).map(interval_of).collect())
     }
 
-    /// Computes the statistics of a range of resamplings.
     fn resample(
         &self,
         resamplings: Range<u32>,
@@ -216,7 +215,6 @@ pub fn intervals_of_many(
     each.map(|interval| interval_or_reason(tasks, interval)).collect()
 }
 
-/// Returns the interval, or the reason why it is withheld.
 pub(crate) fn interval_or_reason(
     tasks: usize,
     interval: Option<Interval>,

@@ -38,7 +38,6 @@ impl Obstacle {
     }
 }
 
-/// One of two policies that are compared.
 #[derive(Clone, Copy, Debug)]
 pub struct Compared<'a> {
     /// Rollouts of the policy, with or without an outcome.
@@ -226,7 +225,6 @@ impl Comparison {
         comparison
     }
 
-    /// Returns the number of rollouts with an outcome for both policies.
     pub fn compared(&self) -> u64 {
         let cells = self.cells.iter().filter_map(|cell| cell.difference.as_ref());
         cells.map(|difference| difference.n).sum()

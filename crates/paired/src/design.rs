@@ -54,10 +54,7 @@ pub(crate) fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
     let (mut low, mut high) = (0.0, r_d);
     for _ in 0..BISECTIONS {
         let middle = f64::midpoint(low, high);
-        match shortfall(middle) > 0.0 {
-            true => low = middle,
-            false => high = middle,
-        }
+        if shortfall(middle) > 0.0 { low = middle } else { high = middle }
     }
     Some(high)
 }
@@ -130,7 +127,6 @@ const STUDENT: [(Level, [f64; 4]); 3] = [
 ];
 
 impl Detectable {
-    /// Returns the differences that the given numbers of tasks and configurations detect at a level.
     pub fn at(level: Level, tasks: usize, configurations: usize) -> Self {
         let distance = |other: Level| (other.radius() - level.radius()).abs();
         let nearest = |a: &Level, b: &Level| distance(*a).total_cmp(&distance(*b));

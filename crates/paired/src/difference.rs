@@ -371,8 +371,5 @@ fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &
 fn strata(tasks: &[TaskRef]) -> Vec<usize> {
     let by_suite = tasks.chunk_by(|a, b| a.suite() == b.suite());
     let by_suite: Vec<usize> = by_suite.map(<[TaskRef]>::len).collect();
-    match by_suite.contains(&1) {
-        true => vec![tasks.len()],
-        false => by_suite,
-    }
+    if by_suite.contains(&1) { vec![tasks.len()] } else { by_suite }
 }

@@ -25,7 +25,6 @@ pub fn report(records: &[Record], options: &Options) -> Result<Report, Duplicate
     Ok(report_of(&Records::new(records)?, options))
 }
 
-/// Reports on matched records.
 pub fn report_of(records: &Records, options: &Options) -> Report {
     let reported = options.reported_nominal.map(|count| Nominal {
         source: NominalSource::Reported,
@@ -94,7 +93,6 @@ fn by_replicate(outcomes: &[(u32, Outcome)]) -> BTreeMap<u32, Count> {
     if counts.len() > 1 { counts } else { BTreeMap::new() }
 }
 
-/// Counts the nominal rollouts of one suite.
 fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     let tasks = nominal_by_task(records, Some(suite));
     tasks.iter().fold(Count::default(), |sum, task| Count {
@@ -103,7 +101,6 @@ fn nominal_of_suite(records: &Records, suite: Suite) -> Count {
     })
 }
 
-/// Counts the nominal rollouts of each task, for one suite or for all suites.
 fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     let mut tasks: BTreeMap<TaskRef, Count> = BTreeMap::new();
     for (&(_, id), &outcome) in &records.outcomes {
@@ -115,7 +112,6 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
     tasks.into_values().collect()
 }
 
-/// Computes the cell of all configurations of one level.
 fn cell(
     records: &Records,
     matched: &[Matched],

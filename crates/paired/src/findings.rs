@@ -90,7 +90,6 @@ impl Claims {
     }
 }
 
-/// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     let nominal = report.nominal.as_ref()?;
     let rows = report.suite_rows();
@@ -199,7 +198,6 @@ fn cost(cell: &Cell) -> Option<Finding> {
     })
 }
 
-/// Writes the finding about the change by simultaneity beyond chance.
 fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let level = cell.level;
@@ -358,7 +356,6 @@ fn interval_of_new_tasks(estimate: &Estimate) -> String {
     })
 }
 
-/// Subject of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {

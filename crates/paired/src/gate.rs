@@ -44,7 +44,6 @@ pub enum GateVerdict {
     Undecided,
 }
 
-/// The gate of one suite.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SuiteGate {
     pub suite: Suite,
@@ -60,7 +59,6 @@ impl Gate {
         Self::evaluate(GATE_ROLLOUTS, published, nominal)
     }
 
-    /// Evaluates the gate of one suite, with n ≥ [`GATE_ROLLOUTS_OF_A_SUITE`].
     pub fn of_suite(published: f64, nominal: Count) -> Self {
         Self::evaluate(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
     }

@@ -20,7 +20,6 @@ use crate::inference::loss::{Loss, Losses};
 use crate::inference::paired::{Eligible, PairedEstimates, Relative};
 use crate::outcomes::Matched;
 
-/// Inference about one level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Inference {
     /// The paper's measures over complete configurations, with intervals for each target.
@@ -60,10 +59,7 @@ impl Inference {
             i_sign_flip_p: paired::i_sign_flip_p(matched),
             relative: Relative::of(matched, directions),
             losses: Loss::of_each(matched, directions),
-            directions: match is_placebo {
-                true => None,
-                false => DirectionTest::of(matched, directions),
-            },
+            directions: if is_placebo { None } else { DirectionTest::of(matched, directions) },
             excess: placebo.and_then(|placebo| Excess::of(matched, placebo, directions)),
         })
     }

@@ -8,12 +8,10 @@ use serde::{Deserialize, Serialize};
 use crate::bootstrap::{Bootstrap, Interval, NoInterval, intervals};
 use crate::inference::hypotheses::mcnemar_exact;
 
-/// The outcomes of one complete configuration.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Configuration {
     /// Task of the configuration: the cluster that the bootstrap draws.
     pub task: TaskRef,
-    /// Success under each axis alone.
     pub alone: BTreeMap<Axis, bool>,
     /// Success under simultaneous perturbation of all axes.
     pub simultaneous: bool,
@@ -46,11 +44,9 @@ pub struct Measures {
     pub s_sim: f64,
     /// `s_conj` − `s_indep`: the dependence of the axes' failures.
     pub d: f64,
-    /// Interval of `d`.
     pub d_ci95: Option<Interval>,
     /// `s_sim` − `s_conj` = `r_c` − `r_e`: the net effect of simultaneity.
     pub i: f64,
-    /// Interval of `i`.
     pub i_ci95: Option<Interval>,
     /// Emergent failures: every axis alone succeeds, the simultaneous rollout
     /// fails.
@@ -60,15 +56,12 @@ pub struct Measures {
     pub c: u64,
     /// `b` / `n`.
     pub r_e: f64,
-    /// Interval of `r_e`.
     pub r_e_ci95: Option<Interval>,
     /// `c` / `n`.
     pub r_c: f64,
-    /// Interval of `r_c`.
     pub r_c_ci95: Option<Interval>,
     /// `r_e` + `r_c`: share of outcomes that simultaneity changes.
     pub r_d: f64,
-    /// Interval of `r_d`.
     pub r_d_ci95: Option<Interval>,
     /// Reason why intervals are absent; `None` if all are present.
     pub no_interval: Option<NoInterval>,

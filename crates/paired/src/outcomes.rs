@@ -46,14 +46,10 @@ impl Outcome {
 
 impl From<bool> for Outcome {
     fn from(success: bool) -> Self {
-        match success {
-            true => Self::Success,
-            false => Self::Failure,
-        }
+        if success { Self::Success } else { Self::Failure }
     }
 }
 
-/// A rollout of one replicate, with its outcome.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Record {
     pub id: RolloutId,
@@ -182,7 +178,6 @@ impl Matched {
         Some(possible)
     }
 
-    /// Returns the outcome under one of the campaign's conditions.
     pub fn outcome(&self, condition: Condition) -> Outcome {
         match condition {
             Condition::Nominal => self.nominal,
@@ -195,7 +190,6 @@ impl Matched {
     }
 }
 
-/// Records by rollout, with their matched configurations.
 #[derive(Clone, Debug, Default)]
 pub struct Records {
     pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
@@ -207,7 +201,6 @@ pub struct Records {
 }
 
 impl Records {
-    /// Matches the records of each configuration.
     pub fn new(records: &[Record]) -> Result<Self, DuplicateRecord> {
         let mut matching = Self::default();
         for record in records {

@@ -11,7 +11,6 @@ use crate::inference::estimate::{Estimate, Scale};
 use crate::inference::hypotheses::holm;
 use crate::inference::sample::{Row, Sample};
 
-/// Progress of one rollout that has ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Progress {
     pub id: RolloutId,
@@ -52,7 +51,6 @@ pub struct ProgressDifference {
     pub steps: Option<MeanDifference>,
 }
 
-/// Paired difference of two means.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeanDifference {
     /// Rollouts whose value is known for both policies.

@@ -16,13 +16,11 @@ use crate::measures::Measures;
 use crate::outcomes::{Count, Records};
 use crate::replication::{Components, Flips};
 
-/// Options of a report.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
     /// Caveats printed at the top, one sentence each, such as a different asset pack, a
     /// privileged policy, or mixed versions.
     pub notes: Vec<String>,
-    /// Settings of the bootstrap intervals.
     pub bootstrap: Bootstrap,
     /// The policy's published nominal success rate, a fraction, for the gate.
     pub published_nominal: Option<f64>,
@@ -31,7 +29,6 @@ pub struct Options {
     /// Nominal successes reported by another source; used if no nominal rollout is
     /// recorded.
     pub reported_nominal: Option<Count>,
-    /// Assignment of directions to configurations.
     pub directions: Directions,
     /// Measures that are overstated, because the campaign stopped when they were large.
     pub overstated: BTreeSet<Measure>,
@@ -54,7 +51,6 @@ pub struct Report {
     /// they were large.
     #[serde(default, skip_serializing_if = "BTreeSet::is_empty")]
     pub overstated: BTreeSet<Measure>,
-    /// Assignment of directions to configurations.
     #[serde(default, skip_serializing_if = "Directions::is_shared")]
     pub directions: Directions,
     pub cells: Vec<Cell>,
@@ -67,7 +63,6 @@ pub struct Report {
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, which no rate includes: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
-    /// Settings of the bootstrap intervals.
     pub bootstrap: Bootstrap,
 }
 
@@ -86,7 +81,6 @@ impl Report {
 /// Nominal rollouts of all replicates.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Nominal {
-    /// Source of the count.
     pub source: NominalSource,
     pub count: Count,
     /// `count` of each replicate; empty if there is only one.
@@ -95,7 +89,6 @@ pub struct Nominal {
     pub gap: Gap,
 }
 
-/// Source of nominal counts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum NominalSource {
@@ -180,7 +173,6 @@ pub struct TaskSuccess {
     pub count: Count,
 }
 
-/// Success under one condition at one level.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SuiteRow {
     /// The level; L0 for nominal rollouts.

@@ -1,6 +1,7 @@
 //! The trait of a back-end, and its errors.
 
-use std::{fmt, time::Duration};
+use std::fmt;
+use std::time::Duration;
 
 use proto::checks::{ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
@@ -30,18 +31,12 @@ pub trait Backend: fmt::Display + Send + Sync {
     async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError>;
 
     /// Starts an episode; restarts the episode if its session is open.
-    ///
-    /// # Errors
-    /// See [`BackendError`].
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
 
     /// Ends an episode and ignores errors. By default, does nothing.
     async fn end(&self, _session: &str) {}
 
     /// Answers one observation. The answer is not checked.
-    ///
-    /// # Errors
-    /// See [`BackendError`].
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
 
     /// Answers several independent observations as one batch, or one after the other if the policy

@@ -1,16 +1,16 @@
 //! Policies that run inside the gateway. Lists them and starts an instance per session; the
 //! gateway manages sessions and retries, and checks the answers.
 
-use std::{fmt, str::FromStr, sync::Arc};
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
 
 use proto::policy::{DescribeResponse, Observation, ResetRequest};
 use thiserror::Error;
 use transport::Access;
 
-use crate::{
-    backend::Backend,
-    spec::{Kind, OwnError, Specified},
-};
+use crate::backend::Backend;
+use crate::spec::{Kind, OwnError, Specified};
 
 pub(crate) mod backend;
 pub mod expert;
@@ -45,7 +45,6 @@ pub trait BuiltinPolicy: Send {
     -> Result<Vec<Action>, String>;
 }
 
-/// Built-in policy by name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Builtin {
     Noop,

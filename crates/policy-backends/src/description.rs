@@ -7,7 +7,6 @@ use benchmark::attempt::CONNECTED_SINCE;
 use proto::policy::{DescribeResponse, Language, StateField};
 use serde::Serialize;
 
-/// Largest number of queries in one `InferBatch`.
 pub const MAX_BATCH_QUERIES: usize = 64;
 
 /// Returns the batch size for a policy, limited by its description and by the largest message.

@@ -2,26 +2,29 @@
 //! Opens the connection at the first call and reopens a broken connection. The gateway's replicas
 //! implement deadlines, back-off and checks of the answers.
 
-use std::{fmt, str::FromStr, sync::Arc, time::Duration};
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
 
+use proto::policy::policy_client::PolicyClient;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferRequest, InferResponse,
-    InferResult, ResetRequest, infer_result, policy_client::PolicyClient,
+    InferResult, ResetRequest, infer_result,
 };
 use thiserror::Error;
-use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
+use tonic::codegen::http::Uri;
+use tonic::transport::Endpoint;
+use tonic::{Code, Response, Status};
 use transport::{Access, AccessError, Connection, Fault, Peer, ServerKind};
 
-use crate::{
-    backend::{Backend, BackendError, SETTINGS},
-    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
-    spec::{Kind, OwnError, Specified},
-};
+use crate::backend::{Backend, BackendError, SETTINGS};
+use crate::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
+use crate::spec::{Kind, OwnError, Specified};
 
 pub(crate) const KIND: Kind =
     Kind::new::<GrpcAddress>(&["grpc", "https"], "grpc://HOST:PORT[/POLICY] (https:// over TLS)");
 
-/// Longest wait for a connection.
 pub const CONNECT_TIMEOUT: Duration = Duration::from_secs(5);
 /// Idle time before the kernel probes a connection, which detects a host that vanished.
 const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
@@ -37,7 +40,6 @@ pub struct GrpcAddress {
 }
 
 impl GrpcAddress {
-    /// Returns the gRPC endpoint of the address.
     pub fn endpoint(&self) -> Result<Endpoint, AddressError> {
         let scheme = if self.encrypted { "https" } else { "http" };
         let endpoint = Endpoint::from_shared(format!("{scheme}://{}", self.authority));

@@ -1,7 +1,9 @@
 //! NumPy arrays in msgpack messages, in the form of openpi's and vla-eval's servers: a map of
 //! `__ndarray__`, `data`, `dtype` and `shape`. Pure functions.
 
-use rmpv::{Value, ValueRef, decode::read_value_ref, encode::write_value};
+use rmpv::decode::read_value_ref;
+use rmpv::encode::write_value;
+use rmpv::{Value, ValueRef};
 use thiserror::Error;
 
 #[derive(Clone, Copy, Debug)]
@@ -58,7 +60,6 @@ pub(super) fn read(bytes: &[u8]) -> Option<ValueRef<'_>> {
     read_value_ref(&mut &*bytes).ok()
 }
 
-/// Decodes an array of floating-point numbers.
 pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let shape = lookup(value, "shape").and_then(as_shape);
     let dtype = lookup(value, "dtype").and_then(as_text);

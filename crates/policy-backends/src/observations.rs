@@ -29,7 +29,6 @@ pub(super) fn rotated(rgb: &[u8]) -> Vec<u8> {
     rgb.rchunks_exact(3).flatten().copied().collect()
 }
 
-/// Returns a reading of `N` numbers.
 pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,

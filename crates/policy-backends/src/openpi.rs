@@ -7,10 +7,8 @@
 //! from a single stream that cannot be seeded. The description declares all three, and since when
 //! no connection was lost.
 
-use std::{
-    fmt,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::fmt;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use benchmark::attempt::UNNAMED_CHECKPOINT;
 use proto::checks::CAMERAS;
@@ -22,13 +20,11 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 use transport::{Access, ServerKind};
 
 pub use self::address::{OPTIONS, OpenpiAddress, OpenpiAddressError, State};
-use crate::{
-    backend::{Backend, BackendError},
-    observations::{self, FRAME_SIDE},
-    sessions::{MAX_SESSIONS, SessionTable},
-    spec::{Answers, BackendSpec, Kind, OwnError, Specified},
-    websocket::{Connection, Received, Server},
-};
+use crate::backend::{Backend, BackendError};
+use crate::observations::{self, FRAME_SIDE};
+use crate::sessions::{MAX_SESSIONS, SessionTable};
+use crate::spec::{Answers, BackendSpec, Kind, OwnError, Specified};
+use crate::websocket::{Connection, Received, Server};
 
 mod address;
 pub mod codec;
@@ -80,8 +76,8 @@ impl OpenpiBackend {
     /// Creates a back-end without connecting.
     pub fn new(address: OpenpiAddress, access: Access) -> Result<Self, OpenpiAddressError> {
         let schemes = ["ws://", "wss://"];
-        // openpi's client sends its key with this scheme.
         let kind = ServerKind::Other("the openpi server");
+        // openpi's client sends its key as `Authorization: Api-Key`.
         let server = Server::new(address.host_port.clone(), access, kind, schemes, "Api-Key");
         Ok(Self {
             server: server.ok_or_else(|| OpenpiAddressError { text: address.to_string() })?,
@@ -97,7 +93,6 @@ impl OpenpiBackend {
         self.permits.acquire().await.ok()
     }
 
-    /// Connects, and reads the metadata that the server sends first.
     async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
         // A server that has closed all connections has restarted.
         let mut idle = std::mem::take(&mut *self.idle());

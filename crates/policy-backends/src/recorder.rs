@@ -2,20 +2,16 @@
 //! starts and ends, and limits the size of all recordings together; a session whose recording fails
 //! continues unrecorded.
 
-use std::{
-    collections::HashMap,
-    fmt,
-    path::PathBuf,
-    sync::{Arc, Mutex, PoisonError},
-    time::{Duration, Instant},
-};
+use std::collections::HashMap;
+use std::fmt;
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 
-use crate::{
-    backend::{Backend, BackendError},
-    recording::{Pair, Writer},
-};
+use crate::backend::{Backend, BackendError};
+use crate::recording::{Pair, Writer};
 
 /// Time without a query after which a session counts as ended.
 pub const ENDED_AFTER: Duration = Duration::from_secs(120);
@@ -24,7 +20,6 @@ pub const DEFAULT_MAX_BYTES: u64 = 16 << 30;
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RecordInto {
-    /// An existing folder.
     pub folder: PathBuf,
     pub max_bytes: u64,
 }

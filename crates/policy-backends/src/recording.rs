@@ -12,18 +12,15 @@
 //! A file in progress has the suffix `.partial`, and is renamed when its session ends, so that a
 //! file with the final name is complete.
 
-use std::{
-    fs::File,
-    io::{self, BufReader, BufWriter, Read, Write},
-    path::{Path, PathBuf},
-};
+use std::fs::File;
+use std::io::{self, BufReader, BufWriter, Read, Write};
+use std::path::{Path, PathBuf};
 
 use prost::Message;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use sha2::{Digest, Sha256};
 use thiserror::Error;
 
-/// First line of a file.
 const FIRST_LINE: &[u8] = b"rollout recording 1\n";
 /// Extension of complete recordings.
 pub const SUFFIX: &str = "recording";

@@ -6,13 +6,11 @@
 //! An episode is identified by suite, instruction and seed. If there are several recordings of an
 //! episode, the recording that contains the query's observation is used.
 
-use std::{
-    convert::Infallible,
-    fmt,
-    path::{Path, PathBuf},
-    str::FromStr,
-    sync::{Arc, Mutex, PoisonError},
-};
+use std::convert::Infallible;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use prost::Message;
 use proto::policy::{
@@ -21,13 +19,11 @@ use proto::policy::{
 use sha2::{Digest, Sha256};
 use transport::Access;
 
-use crate::{
-    backend::{Backend, BackendError},
-    description,
-    recording::{self, Reader, RecordingError},
-    sessions::{MAX_SESSIONS, SessionTable},
-    spec::{Kind, OwnError, Specified},
-};
+use crate::backend::{Backend, BackendError};
+use crate::description;
+use crate::recording::{self, Reader, RecordingError};
+use crate::sessions::{MAX_SESSIONS, SessionTable};
+use crate::spec::{Kind, OwnError, Specified};
 
 pub(crate) const KIND: Kind =
     Kind::new::<Recordings>(&["replay"], "replay:FOLDER (recorded sessions)");
@@ -55,7 +51,6 @@ impl Specified for Recordings {
     }
 }
 
-/// Batch mode in the provenance of replayed results.
 const BATCH_MODE: &str = "replayed from a recording";
 
 pub struct Replay {

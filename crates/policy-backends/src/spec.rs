@@ -1,12 +1,16 @@
 //! Kinds of back-ends, and the specification of one back-end.
 
-use std::{error::Error, fmt, str::FromStr, sync::Arc};
+use std::error::Error;
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
 
 use proto::policy::InferResponse;
 use thiserror::Error;
 use transport::{Access, AccessError};
 
-use crate::{backend::Backend, builtin, grpc, openpi, replay, vla_eval};
+use crate::backend::Backend;
+use crate::{builtin, grpc, openpi, replay, vla_eval};
 
 /// Every kind of back-end. A further kind is a module with a `KIND`, and an entry here: routes, all
 /// commands, their help and errors, and the fuzzing of answers use this table.
@@ -47,9 +51,6 @@ impl Kind {
 /// read.
 pub trait Specified: fmt::Debug + fmt::Display + Send + Sync {
     /// Creates the back-end, without connecting.
-    ///
-    /// # Errors
-    /// If the back-end cannot be created.
     fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, OwnError>;
 
     fn is_encrypted(&self) -> bool {
@@ -81,9 +82,6 @@ impl BackendSpec {
     }
 
     /// Creates the back-end, without connecting.
-    ///
-    /// # Errors
-    /// See [`UnusableBackend`].
     pub fn open(&self, access: &Access) -> Result<Arc<dyn Backend>, UnusableBackend> {
         self.0.open(access).map_err(UnusableBackend::Own)
     }
@@ -114,7 +112,6 @@ impl fmt::Display for BackendSpec {
     }
 }
 
-/// Lists the forms of a specification.
 pub fn forms() -> String {
     KINDS.each_ref().map(|kind| kind.form).join(", ")
 }

@@ -7,11 +7,9 @@
 //! ensembles of the session. So every episode has its own connection, which is closed when the
 //! episode ends.
 
-use std::{
-    fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant},
-};
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use proto::policy::{
     DescribeResponse, InferRequest, InferResponse, Observation, ResetRequest, StateField,
@@ -19,23 +17,19 @@ use proto::policy::{
 use rmpv::Value;
 use transport::{Access, ServerKind};
 
-pub use self::{
-    address::{DEFAULT_EXECUTE, MAX_EXECUTE, Parameters, VlaEvalAddress, VlaEvalAddressError},
-    image::ImageFormat,
-    message::{AnswerError, answer},
+pub use self::address::{
+    DEFAULT_EXECUTE, MAX_EXECUTE, Parameters, VlaEvalAddress, VlaEvalAddressError,
 };
-use self::{
-    hello::{CAMERAS, Terms},
-    message::Kind,
-};
-use crate::{
-    backend::{Backend, BackendError},
-    numpy::{Keys, array, map},
-    observations::{self, FRAME_SIDE},
-    sessions::SessionTable,
-    spec::{Answers, Kind as BackendKind, OwnError, Specified},
-    websocket::{Connection, Received, Server, now},
-};
+use self::hello::{CAMERAS, Terms};
+pub use self::image::ImageFormat;
+use self::message::Kind;
+pub use self::message::{AnswerError, answer};
+use crate::backend::{Backend, BackendError};
+use crate::numpy::{Keys, array, map};
+use crate::observations::{self, FRAME_SIDE};
+use crate::sessions::SessionTable;
+use crate::spec::{Answers, Kind as BackendKind, OwnError, Specified};
+use crate::websocket::{Connection, Received, Server, now};
 
 mod address;
 mod hello;
@@ -106,8 +100,8 @@ impl VlaEvalBackend {
     /// Creates a back-end without connecting.
     pub fn new(address: VlaEvalAddress, access: Access) -> Result<Self, VlaEvalAddressError> {
         let schemes = ["vla-eval://", "vla-evals://"];
-        // The protocol has no tokens, but a proxy in front of the server may require one.
         let kind = ServerKind::Other("the vla-eval model server");
+        // The protocol has no tokens, but a proxy in front of the server may require one.
         let server = Server::new(address.host_port.clone(), access, kind, schemes, "Bearer");
         Ok(Self {
             server: server.ok_or_else(|| VlaEvalAddressError { text: address.to_string() })?,

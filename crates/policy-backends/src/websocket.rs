@@ -1,36 +1,28 @@
 //! WebSocket connections to policy servers of other protocols: TCP, TLS, token, handshake, and a
 //! diagnosis of failures. The back-ends interpret the messages.
 
-use std::{
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, SystemTime, UNIX_EPOCH},
-};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use benchmark::attempt::CONNECTED_SINCE;
 use futures_util::{FutureExt, SinkExt, StreamExt};
 use proto::policy::Setting;
 use time::OffsetDateTime;
-use tokio::{
-    io::{AsyncRead, AsyncWrite},
-    net::TcpStream,
-};
-use tokio_tungstenite::{
-    WebSocketStream, client_async_with_config,
-    tungstenite::{
-        self, Message, client::IntoClientRequest, error::ProtocolError,
-        http::header::AUTHORIZATION, protocol::WebSocketConfig,
-    },
-};
-use tonic::{
-    codegen::http::{Uri, uri::InvalidUri},
-    transport::Endpoint,
-};
+use tokio::io::{AsyncRead, AsyncWrite};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::error::ProtocolError;
+use tokio_tungstenite::tungstenite::http::header::AUTHORIZATION;
+use tokio_tungstenite::tungstenite::protocol::WebSocketConfig;
+use tokio_tungstenite::tungstenite::{self, Message};
+use tokio_tungstenite::{WebSocketStream, client_async_with_config};
+use tonic::codegen::http::Uri;
+use tonic::codegen::http::uri::InvalidUri;
+use tonic::transport::Endpoint;
 use transport::{Access, ConnectError, Fault, Peer, ServerKind, Settings};
 
-use crate::{
-    backend::{BackendError, SETTINGS},
-    grpc::CONNECT_TIMEOUT,
-};
+use crate::backend::{BackendError, SETTINGS};
+use crate::grpc::CONNECT_TIMEOUT;
 
 /// Largest message of a server, bytes. The longest chunk of actions has 58 kB, and metadata and
 /// HELLO are shorter; a decoded message takes up to forty times as much memory as its bytes.
@@ -89,7 +81,6 @@ impl ConnectedSince {
     }
 }
 
-/// Address of a server, with the credentials for it.
 pub(super) struct Server {
     connected: ConnectedSince,
     host_port: HostPort,

@@ -49,13 +49,11 @@ struct Ahead {
 pub struct ManualClock(AtomicI64);
 
 impl UnixMillis {
-    /// Returns the instant `span` later.
     #[must_use]
     pub fn plus(self, span: Duration) -> UnixMillis {
         UnixMillis(self.0.saturating_add(millis(span)))
     }
 
-    /// Returns the instant `span` earlier.
     #[must_use]
     pub fn minus(self, span: Duration) -> UnixMillis {
         UnixMillis(self.0.saturating_sub(millis(span)))
@@ -109,7 +107,6 @@ pub(crate) fn beginning_at(newest: UnixMillis, clock: Arc<dyn Clock>) -> Arc<dyn
 }
 
 impl ManualClock {
-    /// Creates a clock set to `now`.
     pub fn at(now: UnixMillis) -> ManualClock {
         ManualClock(AtomicI64::new(now.0))
     }

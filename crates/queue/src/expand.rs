@@ -14,7 +14,6 @@ use sha2::{Digest, Sha256};
 
 use crate::ids::{CampaignName, NameError};
 
-/// A campaign ready to be stored.
 #[derive(Clone, Debug)]
 pub struct NewCampaign {
     pub name: CampaignName,
@@ -25,7 +24,6 @@ pub struct NewCampaign {
     /// Name of the policy at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Name of the realisation.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
@@ -46,14 +44,12 @@ pub struct NewCampaign {
     pub priority: i32,
 }
 
-/// A job ready to be stored.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NewJob {
     pub rollout_id: String,
     pub replicate: u32,
     /// Key of the task and its files, as [`TaskKey::of_row`] writes it.
     pub task: String,
-    /// Id of the initial state.
     pub init_id: u16,
     /// Place in the campaign's order of jobs, from 0; see [`NewCampaign::from_spec`].
     pub unit_order: i64,
@@ -97,7 +93,6 @@ pub enum ExpandError {
 }
 
 impl NewCampaign {
-    /// Reads a specification and expands it.
     pub fn from_json(spec: &str) -> Result<NewCampaign, ExpandError> {
         NewCampaign::from_spec(&CampaignSpec::from_json(spec)?)
     }
@@ -176,7 +171,6 @@ fn order_randomly(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     places.len()
 }
 
-/// Applies a change to a stored specification. Returns the changed specification and its digest.
 pub(crate) fn altered(
     spec: &str,
     change: impl FnOnce(&mut CampaignSpec),
@@ -189,7 +183,6 @@ pub(crate) fn altered(
     Ok((text, digest))
 }
 
-/// Returns the names of the fields in which two specifications differ, for messages.
 pub fn differing_fields(first: &str, second: &str) -> String {
     let fields = |text: &str| match serde_json::from_str(text) {
         Ok(Value::Object(fields)) => fields,

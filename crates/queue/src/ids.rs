@@ -74,7 +74,6 @@ pub struct WorkerId(pub String);
 #[sqlx(transparent)]
 pub struct CampaignName(String);
 
-/// A job by its rollout id and replicate, as operators name it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct JobName {
     pub rollout_id: String,
@@ -87,17 +86,11 @@ pub enum NameError {
     #[error(
         "read campaign name {name:?}: use 1 to {MAX_CAMPAIGN_NAME_BYTES} letters, digits, `-`, `_` and `.`, not starting with a dot"
     )]
-    Campaign {
-        /// The given name, shortened.
-        name: String,
-    },
+    Campaign { name: String },
     #[error(
         "read worker id `{id}`: use 1 to {MAX_WORKER_ID_BYTES} visible ASCII characters without spaces"
     )]
-    Worker {
-        /// The given id, shortened.
-        id: String,
-    },
+    Worker { id: String },
 }
 
 impl CampaignName {

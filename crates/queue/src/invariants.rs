@@ -22,7 +22,6 @@ pub struct Invariant {
     query: &'static str,
 }
 
-/// An invariant that does not hold.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Violation {
     pub invariant: &'static str,
@@ -31,7 +30,6 @@ pub struct Violation {
     pub examples: Vec<String>,
 }
 
-/// A database that cannot be checked.
 #[derive(Debug, thiserror::Error)]
 pub enum CheckError {
     #[error("check {}: there is no such database; name a data folder, or a database file", path.display())]
@@ -275,10 +273,7 @@ pub const INVARIANTS: [Invariant; 20] = [
 /// Checks every invariant of the database in a data folder, or of a database file. Read-only, in
 /// one consistent view; a coordinator may be running on the database.
 pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
-    let file = match path.is_dir() {
-        true => path.join(DATABASE_FILE),
-        false => path.to_owned(),
-    };
+    let file = if path.is_dir() { path.join(DATABASE_FILE) } else { path.to_owned() };
     if !file.is_file() {
         return Err(CheckError::Missing { path: path.to_owned() });
     }

@@ -111,7 +111,6 @@ impl Queue {
         }))
     }
 
-    /// Returns the durations of leases, heartbeats and timeouts.
     pub fn timing(&self) -> Timing {
         self.shared.timing
     }
@@ -124,7 +123,6 @@ impl Queue {
         &self.shared.store
     }
 
-    /// Begins a view of the committed database.
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
@@ -132,7 +130,6 @@ impl Queue {
         View::begin(&shared.store, now, timing, self.held(), filming, lacking).await
     }
 
-    /// Returns a watch for commits.
     pub async fn changes(&self) -> Result<Changes, StoreError> {
         Changes::begin(&self.shared.store).await
     }

@@ -72,7 +72,6 @@ pub struct Store {
     lock: File,
 }
 
-/// A data folder that cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     #[error("open data folder {}: check that it exists and that this user may write to it", folder.display())]
@@ -99,15 +98,10 @@ pub enum OpenError {
     Database { path: PathBuf, source: sqlx::Error },
 }
 
-/// A failure of the database.
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
     #[error("{doing} in the database")]
-    Statement {
-        doing: &'static str,
-        #[source]
-        source: Arc<sqlx::Error>,
-    },
+    Statement { doing: &'static str, source: Arc<sqlx::Error> },
     /// The database file was removed or replaced. SQLite continues with the open file, whose
     /// contents are lost when this process ends.
     #[error(
@@ -128,7 +122,6 @@ impl StoreError {
         matches!(**source, sqlx::Error::Decode(_) | sqlx::Error::ColumnDecode { .. })
     }
 
-    /// Returns the error and its cause, for the log.
     pub(crate) fn with_cause(&self) -> String {
         match self {
             Self::Statement { source, .. } => format!("{self}: {source}"),
@@ -166,7 +159,6 @@ fn pool_options(connections: u32) -> SqlitePoolOptions {
     SqlitePoolOptions::new().max_connections(connections).max_lifetime(None).idle_timeout(None)
 }
 
-/// Returns the error for a stored value that cannot be decoded.
 pub(crate) fn undecodable(
     error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
 ) -> sqlx::Error {
@@ -327,7 +319,6 @@ pub fn newest_known_schema() -> i64 {
 }
 
 impl Tx<'_> {
-    /// Commits the transaction to disk.
     pub(crate) async fn commit(self) -> Result<(), StoreError> {
         for step in &self.steps {
             self.failpoints.reach(Side::Before, *step);
@@ -415,7 +406,6 @@ async fn refuse_other_schema(path: &Path) -> Result<(), OpenError> {
     }
 }
 
-/// Returns versions and checksums of the migrations that were applied to a database.
 pub(crate) async fn applied_migrations(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<(i64, Vec<u8>)>, sqlx::Error> {
@@ -432,7 +422,6 @@ pub(crate) async fn applied_migrations(
         .await
 }
 
-/// Returns an empty database in memory with this program's schema.
 async fn fresh_database() -> Result<SqliteConnection, sqlx::Error> {
     let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
     let migrated = MIGRATIONS.run_direct(None, &mut fresh, false).await;

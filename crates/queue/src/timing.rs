@@ -2,7 +2,6 @@
 
 use std::time::Duration;
 
-/// Durations of leases, heartbeats and timeouts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
     /// Duration of a lease from its grant or its last heartbeat.

@@ -95,10 +95,7 @@ impl Backdrop {
             self.is_cached[index] = self.rested[index] >= self.needed[index];
         }
         self.has_picture = self.is_cached.iter().any(|is_cached| *is_cached);
-        match self.has_picture {
-            true => Start::Cache,
-            false => Start::Redraw,
-        }
+        if self.has_picture { Start::Cache } else { Start::Redraw }
     }
 
     pub(crate) fn contains(&self, geom: usize) -> bool {

@@ -72,7 +72,6 @@ impl Scratch {
 }
 
 impl Canvas {
-    /// Creates an empty canvas.
     pub fn new() -> Self {
         Self::default()
     }

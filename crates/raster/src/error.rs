@@ -14,7 +14,6 @@ pub enum ModelError {
     Quality { slices: usize, stacks: usize, quads: usize },
 }
 
-/// Reason why a frame cannot be drawn.
 #[derive(Debug, thiserror::Error, PartialEq)]
 pub enum DrawError {
     #[error("a frame of {width} × {height} pixels cannot be drawn: give 1 to 4096 a side")]

@@ -280,10 +280,7 @@ fn fill_block<const INSIDE: bool>(
             let z = depth_y.fused(sample_y, depth_x.fused(sample_x, depth));
             sample_x += real(2.0);
             let nearest = F::load(depths);
-            let mut passed = match INSIDE {
-                true => z.ge(nearest),
-                false => inside & z.ge(nearest),
-            };
+            let mut passed = if INSIDE { z.ge(nearest) } else { inside & z.ge(nearest) };
             if !passed.any() {
                 continue;
             }

@@ -41,10 +41,7 @@ impl<'a> Lighting<'a> {
     pub(crate) fn all(lights: &'a [EyeLight]) -> Self {
         Self {
             lights,
-            everywhere: match lights.is_empty() {
-                true => AMBIENT_WITHOUT_LIGHTS,
-                false => 0.0,
-            },
+            everywhere: if lights.is_empty() { AMBIENT_WITHOUT_LIGHTS } else { 0.0 },
             has_emission: true,
         }
     }
@@ -118,10 +115,7 @@ impl<'a> Shading<'a> {
         let Lighting { lights, everywhere, .. } = lighting;
         let [r, g, b, _] = instance.rgba;
         let colour = [r, g, b];
-        let emission = match lighting.has_emission {
-            true => instance.emission,
-            false => 0.0,
-        };
+        let emission = if lighting.has_emission { instance.emission } else { 0.0 };
         let times = |light: Vec3, material: Vec3| -> Vec3 {
             std::array::from_fn(|channel| light[channel] * material[channel])
         };
@@ -179,10 +173,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     let vec = |v: Vec3| v.map(splat);
     let normal = normalize8(normal);
     let has_highlights = shading.shininess != 0.0;
-    let towards_pos = match has_highlights {
-        true => normalize8(pos),
-        false => pos,
-    };
+    let towards_pos = if has_highlights { normalize8(pos) } else { pos };
     let mut colour = vec(shading.base);
     let materials = shading.products.iter().zip(&shading.adds_only_ambient);
     for (light, (products, adds_only_ambient)) in shading.lights.iter().zip(materials) {

@@ -16,7 +16,6 @@ pub(crate) const CLUSTER: usize = 64;
 /// Weight of normals relative to a distance in splitting into clusters, in radii of the mesh.
 const FACING_WEIGHT: f32 = 0.35;
 
-/// A corner of a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Corner {
     /// Position, mesh frame.
@@ -35,7 +34,6 @@ impl Corner {
     }
 }
 
-/// A mesh, ready to be drawn.
 #[derive(Debug, Default)]
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,

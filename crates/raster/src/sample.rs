@@ -145,10 +145,7 @@ fn fetch(texels: Texels<'_>, at: I) -> I {
 /// Two texels in each of eight rows; with `is_beside` the second ones follow the first.
 #[inline(always)]
 fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [I; 2] {
-    let pairs = match is_beside {
-        true => texels.eight_pairs(&(row + x0).into()),
-        false => None,
-    };
+    let pairs = if is_beside { texels.eight_pairs(&(row + x0).into()) } else { None };
     match pairs {
         Some(pairs) => pairs.map(|texels| I::new(texels.map(u32::cast_signed))),
         None => [fetch(texels, row + x0), fetch(texels, row + x1)],
@@ -294,10 +291,7 @@ fn mix_four(texels: [I; 4], [u, v]: [F; 2], is_srgb: bool) -> Colour {
         let [a, b, c, d] = texels.map(|texel| {
             let part = (texel >> (8 * channel as i32)) & I::splat(255);
             let part: F = part.float();
-            match is_srgb && channel < 3 {
-                true => linear(part),
-                false => part * F::splat(OVER_255),
-            }
+            if is_srgb && channel < 3 { linear(part) } else { part * F::splat(OVER_255) }
         });
         mix(mix(a, b, u), mix(c, d, u), v)
     })

@@ -25,10 +25,8 @@ pub enum Shape {
     Capsule,
 }
 
-/// Texture on a geom.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct TextureUse {
-    /// Index of the texture in the model.
     pub texture: usize,
     /// Repeats of a flat texture along x and y.
     pub repeat: [f32; 2],
@@ -59,7 +57,6 @@ pub struct Geom {
     pub shininess: f32,
     /// Share of the surroundings that a plane or a box's upper face mirrors.
     pub reflectance: f32,
-    /// Texture of the surface.
     pub texture: Option<TextureUse>,
     /// Radius of the bounding sphere by which translucent geoms are sorted; 0 derives it from the
     /// shape.
@@ -90,11 +87,8 @@ pub struct Light {
     pub pos: [f32; 3],
     /// Direction of the light, world frame.
     pub dir: [f32; 3],
-    /// Ambient light.
     pub ambient: [f32; 3],
-    /// Diffuse light.
     pub diffuse: [f32; 3],
-    /// Specular light.
     pub specular: [f32; 3],
     /// True if opaque geoms are lit only where no geom lies between them and the light; see
     /// [`Scene::shadows`].
@@ -128,11 +122,8 @@ pub struct Camera {
     pub bottom: f32,
     /// Upper end of the near plane's rectangle.
     pub top: f32,
-    /// Distance of the near plane.
     pub near: f32,
-    /// Distance of the far plane.
     pub far: f32,
-    /// True for an orthographic camera.
     pub orthographic: bool,
 }
 

@@ -13,10 +13,7 @@ const LARGE: i32 = 32 * SUBPIXELS;
 /// Mesa swaps the first two corners of a triangle whose front is wound counter-clockwise.
 #[inline(always)]
 pub(crate) fn winding_order(counter_clockwise: bool) -> [usize; 3] {
-    match counter_clockwise {
-        true => [1, 0, 2],
-        false => [0, 1, 2],
-    }
+    if counter_clockwise { [1, 0, 2] } else { [0, 1, 2] }
 }
 
 #[inline(always)]

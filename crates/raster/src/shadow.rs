@@ -36,7 +36,6 @@ pub(crate) fn add_all(
     }
 }
 
-/// Adds one light, with the view and the size of its map.
 fn add(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -115,10 +114,7 @@ fn view(light: &Light, shadows: Shadows, camera: &Camera) -> View {
 fn upwards(dir: Vec3) -> Vec3 {
     let across = cross(dir, [-1.0, 0.0, 0.0]);
     let is_long = f64::from(dot(across, across)) > 0.01;
-    normalized(match is_long {
-        true => across,
-        false => cross(dir, [0.0, 1.0, 0.0]),
-    })
+    normalized(if is_long { across } else { cross(dir, [0.0, 1.0, 0.0]) })
 }
 
 /// Planes in the eye's frame. The distances from them are the coordinates in a shadow map: column,

@@ -252,7 +252,6 @@ pub fn plane_grid(half: f64, spacing: f64, period: Option<f64>, far: f64) -> Vec
     (0..=MAX_LINES).map(|line| cell * line as f64 - cell * middle).collect()
 }
 
-/// Creates a plane of rectangles between grid lines.
 pub fn plane(xs: &[f64], ys: &[f64]) -> Mesh {
     let mut builder = MeshBuilder::default();
     let at = |x: f64, y: f64| corner([x as f32, y as f32, 0.0], [0.0, 0.0, 1.0]);

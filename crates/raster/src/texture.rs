@@ -13,10 +13,7 @@ const MAX_SIDE: usize = 1 << 14;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum TextureKind {
     /// Flat, repeated in both directions.
-    Flat {
-        /// True if its colours are encoded as sRGB.
-        srgb: bool,
-    },
+    Flat { srgb: bool },
     /// Six square faces around the scene: +x, −x, +y, −y, +z, −z.
     Cube,
 }

@@ -60,7 +60,7 @@ impl Findings {
         explanation: &Explanation,
     ) -> Result<Prospect, LatticeError> {
         let lattices = configurations(&campaign.counted(), &[], explanation.repeats)?;
-        let mut prospect = Prospect { subjects: 0, most_rollouts: BTreeMap::new() };
+        let mut prospect = Prospect { sought: 0, most_rollouts: BTreeMap::new() };
         for (configuration, lattice) in &lattices {
             let axes = lattice.full().len();
             if let Some(repeats) = explanation.repeats
@@ -71,7 +71,7 @@ impl Findings {
             }
             if selected(lattice).is_ok() {
                 let suite = configuration.task().suite();
-                prospect.subjects += 1;
+                prospect.sought += 1;
                 *prospect.most_rollouts.entry(suite).or_default() +=
                     u64::from(lattice.most_further_rollouts());
             }

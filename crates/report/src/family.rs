@@ -87,17 +87,9 @@ pub struct Line {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FamilyError {
     #[error("report on campaign `{campaign}`")]
-    Rollout {
-        campaign: String,
-        #[source]
-        source: SelectionError,
-    },
+    Rollout { campaign: String, source: SelectionError },
     #[error("report on campaign `{campaign}`")]
-    Protocol {
-        campaign: String,
-        #[source]
-        source: UnknownName,
-    },
+    Protocol { campaign: String, source: UnknownName },
 }
 
 /// A rollout with an outcome.

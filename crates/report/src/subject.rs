@@ -87,7 +87,7 @@ pub struct Derived {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Prospect {
     /// Number of transitions to explain or of thresholds to measure, from the outcomes so far.
-    pub subjects: u64,
+    pub sought: u64,
     /// Upper bound of the number of rollouts, by suite.
     pub most_rollouts: BTreeMap<Suite, u64>,
 }

@@ -135,10 +135,8 @@ impl ThresholdReport {
     /// measurement takes.
     pub fn prospect(campaign: &Subject, thresholds: &Thresholds) -> Prospect {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
-        let mut prospect = Prospect {
-            subjects: measurement.rays().count() as u64,
-            most_rollouts: BTreeMap::new(),
-        };
+        let mut prospect =
+            Prospect { sought: measurement.rays().count() as u64, most_rollouts: BTreeMap::new() };
         for (task, most) in measurement.most_rollouts() {
             *prospect.most_rollouts.entry(task.suite()).or_default() += u64::from(most);
         }

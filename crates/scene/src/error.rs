@@ -6,23 +6,13 @@ use benchmark::family::para::FETCH;
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     #[error("read {what} {}: {remedy}", path.display())]
-    Read {
-        what: String,
-        path: PathBuf,
-        remedy: String,
-        #[source]
-        source: std::io::Error,
-    },
+    Read { what: String, path: PathBuf, remedy: String, source: std::io::Error },
     #[error(
         "write unpacked asset pack {}: make the sources folder writable, or point --sources \
          elsewhere",
         path.display()
     )]
-    Unpack {
-        path: PathBuf,
-        #[source]
-        source: std::io::Error,
-    },
+    Unpack { path: PathBuf, source: std::io::Error },
     #[error("parse {what} {}: {problem}", path.display())]
     Malformed { what: String, path: PathBuf, problem: String },
     #[error(

@@ -18,10 +18,7 @@ use crate::sources::{AssetRoot, RootKind, locate_files};
 pub fn object_model(text: &str, movable: bool) -> Result<(), String> {
     let root = AssetRoot { kind: RootKind::Pack, dir: PathBuf::from("pack"), verified: None };
     let category = category("wooden_cabinet").expect("in the catalogue");
-    let kind = match movable {
-        true => InstanceKind::Object,
-        false => InstanceKind::Fixture,
-    };
+    let kind = if movable { InstanceKind::Object } else { InstanceKind::Fixture };
     let part = Part::parse(text, &root, category.file)?;
     let object = build(part, "cabinet_1", category, kind)?;
     object.region_site("cabinet_1_top_region");

@@ -97,7 +97,7 @@ impl Part {
         let folder = Path::new(file).parent().unwrap_or(Path::new(""));
         for asset in &mut tree.child_mut("asset").children {
             if let Some(name) = asset.get("file") {
-                let reference = FileRef::resolve(root.kind(), folder, name)?;
+                let reference = FileRef::resolve(root.kind, folder, name)?;
                 asset.set("file", reference.to_string());
             }
         }

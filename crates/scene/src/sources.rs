@@ -5,9 +5,9 @@ use std::fmt;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
-use crate::assets::{Difference, VerifiedFolder};
 use benchmark::family::protocol::Benchmark;
 
+use crate::assets::{Difference, VerifiedFolder};
 use crate::error::SceneError;
 
 /// Remedy for missing files; users of a release archive have no cargo.
@@ -42,13 +42,8 @@ impl Sources {
     /// Returns `$ROLLOUT_SOURCES`, else the folder beside the programs of a release archive, else
     /// the folder of `cargo xtask setup`: `rollout/sources` in the user's cache folder.
     pub fn default_dir() -> PathBuf {
-        if let Some(dir) = std::env::var_os("ROLLOUT_SOURCES") {
-            return PathBuf::from(dir);
-        }
-        if let Some(dir) = Self::release_dir() {
-            return dir;
-        }
-        Self::in_cache()
+        let named = std::env::var_os("ROLLOUT_SOURCES").map(PathBuf::from);
+        named.or_else(Self::release_dir).unwrap_or_else(Self::in_cache)
     }
 
     fn in_cache() -> PathBuf {
@@ -132,10 +127,6 @@ pub(crate) struct AssetRoot {
 }
 
 impl AssetRoot {
-    pub(crate) fn kind(&self) -> RootKind {
-        self.kind
-    }
-
     pub(crate) fn path(&self, file: &str) -> PathBuf {
         self.dir.join(file)
     }

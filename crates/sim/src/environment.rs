@@ -39,7 +39,6 @@ pub struct Environment {
     pub(crate) control_steps: u32,
 }
 
-/// Joint readings at the observed instant.
 #[derive(Clone, Copy, Default)]
 pub(crate) struct JointReadings {
     pos: [f64; ARM_JOINTS + 2],
@@ -297,7 +296,6 @@ impl Environment {
         output
     }
 
-    /// Records the current state as the observed instant.
     pub(crate) fn record_all(&mut self) {
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;

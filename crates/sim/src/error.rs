@@ -31,10 +31,7 @@ pub enum SimError {
     #[error(
         "control the arm at control step {control_step}: a matrix of its controller has no inverse"
     )]
-    Singular {
-        /// Control step, counted from the start of settling.
-        control_step: u32,
-    },
+    Singular { control_step: u32 },
     #[error("evaluate the goal {predicate}: {problem}")]
     Predicate { predicate: String, problem: String },
     #[error(

@@ -34,7 +34,7 @@ pub struct Frame {
     pub rgb: Vec<u8>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct RobotState {
     /// Position of the site between the fingertips, world frame, m.
     pub eef_pos: [f64; 3],

@@ -36,7 +36,6 @@ pub struct VariantStart {
     /// Resets with the same generator for the preceding trials, since harnesses seed only once.
     pub earlier_resets: u32,
     pub start: Start,
-    /// Corruption of pictures from `agentview`.
     pub corruption: Option<Corruption>,
 }
 

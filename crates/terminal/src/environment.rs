@@ -42,10 +42,7 @@ pub fn with_variables(command: Command) -> Command {
 pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
     let first = words.get(1).and_then(|word| word.to_str());
     let is_command = |word| word == "help" || program.find_subcommand(word).is_some();
-    let program = match first.is_some_and(is_command) {
-        true => program,
-        false => with_variables(program),
-    };
+    let program = if first.is_some_and(is_command) { program } else { with_variables(program) };
     parse(program, words)
 }
 

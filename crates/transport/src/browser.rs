@@ -52,7 +52,6 @@ impl SessionCookie {
         format!("{name}={session}; Path=/; Max-Age={secs}; HttpOnly; SameSite=Strict{secure}")
     }
 
-    /// Returns the session id in a request's cookies.
     pub(crate) fn session<'a>(&self, headers: &'a HeaderMap) -> Option<&'a str> {
         let cookies = headers.get_all(header::COOKIE).iter();
         let pairs = cookies.filter_map(|cookies| cookies.to_str().ok());

@@ -17,7 +17,6 @@ use crate::browser::SessionCookie;
 pub const SESSION_LIFETIME: Duration = Duration::from_secs(12 * 3600);
 /// Most concurrent sessions. A further log-in ends the oldest session.
 pub const MAX_SESSIONS: usize = 1_024;
-/// Random bytes in a session id.
 const SESSION_ID_BYTES: usize = 16;
 
 /// The open sessions of a server's browsers, and the cookie that holds their ids.

@@ -175,10 +175,7 @@ impl Access {
         uri: &Uri,
         connection: &TcpStream,
     ) -> Result<(), Untrusted> {
-        match self.sends_token_unencrypted(uri) {
-            true => check_server(connection).await,
-            false => Ok(()),
-        }
+        if self.sends_token_unencrypted(uri) { check_server(connection).await } else { Ok(()) }
     }
 
     /// Opens a TLS connection to `host` for protocols other than gRPC.
@@ -242,7 +239,6 @@ impl Interceptor for Bearer {
     }
 }
 
-/// Reads and checks a certificate authority.
 fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     let pem = read_pem(path)?;
     match roots(&pem) {

@@ -16,7 +16,6 @@ impl EndpointError {
                               TLS https:// or grpcs://";
 }
 
-/// Parses a gRPC server's URL.
 pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     // A user and a password are refused and not quoted, since addresses are shown and logged.
     let (user, shown) = url.rsplit_once('@').map_or((None, url), |(user, host)| (Some(user), host));

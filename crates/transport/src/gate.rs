@@ -41,12 +41,10 @@ pub enum Resource {
     Page(Allowed),
 }
 
-/// Callers that are allowed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Allowed {
     /// Everybody: the resource reveals nothing and changes nothing.
     Everybody,
-    /// Callers with one of these roles.
     OneOf(&'static [Role]),
 }
 
@@ -192,7 +190,6 @@ impl Shared {
         Ok(())
     }
 
-    /// Checks that a request has a token of one of these roles or, for a page, a session.
     fn check_role(
         &self,
         tokens: &Tokens,

@@ -61,7 +61,6 @@ pub fn raise_file_limit() -> u64 {
     getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX)
 }
 
-/// Returns the number of connections for which there are descriptors.
 fn limit_of(descriptors: u64) -> usize {
     let limit = descriptors.saturating_sub(RESERVED_DESCRIPTORS);
     usize::try_from(limit).unwrap_or(usize::MAX).max(MIN_CONNECTIONS)

@@ -62,14 +62,12 @@ pub enum Fault {
     Tls(String),
     /// A web server answered.
     OtherProtocol(String),
-    /// The server does not have the call.
     LacksCall,
     /// No answer came: there is no connection, or it ended.
     NoAnswer(String),
 }
 
 impl Fault {
-    /// Reads the reason from an error and its causes.
     fn of(error: &(dyn Error + 'static)) -> Fault {
         let mut cause = Some(error);
         while let Some(error) = cause {
@@ -115,7 +113,6 @@ impl Fault {
 #[error("{finding}; {remedy}")]
 pub struct ConnectError {
     pub fault: Fault,
-    /// The fault in words.
     pub finding: String,
     remedy: String,
 }

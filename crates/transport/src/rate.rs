@@ -28,7 +28,6 @@ struct Bucket {
 }
 
 impl Bucket {
-    /// Returns the number of requests that the bucket admits at `now`.
     fn filled(self, now: Instant) -> f64 {
         let secs = now.saturating_duration_since(self.updated).as_secs_f64();
         (self.remaining + secs * MAX_REQUESTS_PER_SEC).min(BURST_REQUESTS)

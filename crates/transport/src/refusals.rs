@@ -13,7 +13,6 @@ pub const LOG_AGAIN_AFTER: Duration = Duration::from_secs(600);
 /// Most refusals in memory. Further refusals are not logged until one of these expires.
 pub const MAX_REMEMBERED_REFUSALS: usize = 1_024;
 
-/// The refusals that were logged.
 #[derive(Debug, Default)]
 pub(crate) struct Refusals {
     logged: HashMap<(IpAddr, Code), Instant>,

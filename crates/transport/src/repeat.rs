@@ -86,7 +86,6 @@ fn replay(body: &Arc<Mutex<Sent>>) -> Body {
     Body::new(Replay { again, body: Arc::clone(body) })
 }
 
-/// Body of one try.
 struct Replay {
     /// First message, if an earlier try has sent it.
     again: Option<Bytes>,

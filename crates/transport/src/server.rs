@@ -74,11 +74,7 @@ pub enum SecurityError {
         "listen on {address}: other machines can reach that, and {missing}; give --tls-cert, \
          --tls-key and --token-file, or --insecure if only trusted people reach this network"
     )]
-    Unguarded {
-        address: SocketAddr,
-        /// Missing protection, in words.
-        missing: &'static str,
-    },
+    Unguarded { address: SocketAddr, missing: &'static str },
     #[error(transparent)]
     Tokens(#[from] TokenError),
     #[error("read {}: give a PEM file that this user may read", path.display())]
@@ -89,12 +85,7 @@ pub enum SecurityError {
         path.display(),
         path.display()
     )]
-    Exposed {
-        path: PathBuf,
-        mode: u32,
-        /// Argument of `chmod` that restricts the permissions.
-        chmod: &'static str,
-    },
+    Exposed { path: PathBuf, mode: u32, chmod: &'static str },
     #[error(
         "use the certificate and the key: give --tls-cert a PEM chain, and --tls-key the private \
          key of its first certificate, as PEM"
@@ -127,10 +118,7 @@ impl ServerArguments {
                 let accepts_own_user_only = tokens.is_none()
                     && address.ip().to_canonical().is_loopback()
                     && !self.insecure_loopback;
-                let users = match accepts_own_user_only {
-                    true => Users::Own,
-                    false => Users::Any,
-                };
+                let users = if accepts_own_user_only { Users::Own } else { Users::Any };
                 Ok(Security::new(identity, tokens, users))
             }
         }
@@ -183,7 +171,6 @@ impl Security {
         Gate::new(tokens, self.users, resource, log_in, browser_sessions)
     }
 
-    /// Builds a gRPC server behind the gate.
     pub fn server(&self, resource: fn(&str) -> Resource) -> Result<GatedServer, SecurityError> {
         self.guarded(self.gate(resource, None))
     }

@@ -17,7 +17,6 @@ use crate::private::exposed;
 pub const MIN_TOKEN_BYTES: usize = 16;
 /// Longest token, bytes.
 pub const MAX_TOKEN_BYTES: usize = 256;
-/// Most tokens in one file.
 pub const MAX_TOKENS: usize = 256;
 /// Largest token file, bytes.
 pub const MAX_TOKEN_FILE_BYTES: u64 = 128 << 10;
@@ -112,12 +111,7 @@ pub enum TokenError {
         path.display(),
         path.display()
     )]
-    Exposed {
-        path: PathBuf,
-        mode: u32,
-        /// Argument of `chmod` that restricts the permissions.
-        chmod: &'static str,
-    },
+    Exposed { path: PathBuf, mode: u32, chmod: &'static str },
     #[error("read token file {}: it is larger than {MAX_TOKEN_FILE_BYTES} bytes", path.display())]
     TooLarge { path: PathBuf },
     #[error(
@@ -132,15 +126,9 @@ pub enum TokenError {
         problem: &'static str,
     },
     #[error("find a token in {place}: write one `ROLE TOKEN` per line")]
-    Empty {
-        /// The file, or the environment variable.
-        place: String,
-    },
+    Empty { place: String },
     #[error("read {place}: it holds more than {MAX_TOKENS} tokens")]
-    TooMany {
-        /// The file, or the environment variable.
-        place: String,
-    },
+    TooMany { place: String },
 }
 
 impl Tokens {

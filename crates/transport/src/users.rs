@@ -16,7 +16,6 @@ const TABLES: [&str; 2] = ["/proc/net/tcp", "/proc/net/tcp6"];
 const LISTENS: &str = "0A";
 const ROOT: u32 = 0;
 
-/// Local users that a server accepts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Users {
     /// The server's own user, and root.

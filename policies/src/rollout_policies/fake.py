@@ -86,7 +86,6 @@ def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
 
 
 def to_message(observation: Observation) -> pb.Observation:
-    """Converts an observation to its message."""
     return pb.Observation(
         images=[
             pb.Image(

@@ -2,20 +2,14 @@
 //! A batch ends early if its server does not answer in time, or if no caller waits for its answers
 //! any more. The replica decides which queries enter the queue.
 
-use std::{
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicBool, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use policy_backends::{Backend, BackendError};
 use proto::policy::{InferRequest, InferResponse};
-use tokio::{
-    sync::{Notify, oneshot},
-    task::JoinSet,
-};
+use tokio::sync::{Notify, oneshot};
+use tokio::task::JoinSet;
 
 use super::{MAX_QUEUED, Next, Queue};
 use crate::pace::{NoAnswer, Watch};
@@ -43,7 +37,6 @@ struct Query {
 }
 
 impl Batcher {
-    /// Creates a batcher for a back-end.
     pub fn new(backend: Arc<dyn Backend>, watch: Arc<Watch>, answer_within: Duration) -> Self {
         Self {
             shared: Arc::new(Shared {
@@ -193,7 +186,8 @@ fn fail(
 
 #[cfg(test)]
 mod tests {
-    use std::{fmt, sync::atomic::AtomicBool};
+    use std::fmt;
+    use std::sync::atomic::AtomicBool;
 
     use proto::policy::{DescribeResponse, ResetRequest};
 

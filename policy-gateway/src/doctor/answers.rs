@@ -52,10 +52,7 @@ impl Answers {
         let differences = rows.flat_map(|(a, b)| {
             (0..7).map(move |component| ((a[component] - b[component]).abs(), component))
         });
-        differences.fold((0.0, 0), |largest, next| match next.0 > largest.0 {
-            true => next,
-            false => largest,
-        })
+        differences.fold((0.0, 0), |largest, next| if next.0 > largest.0 { next } else { largest })
     }
 
     pub(crate) fn component_count(&self) -> usize {

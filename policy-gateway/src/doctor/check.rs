@@ -8,20 +8,17 @@ use benchmark::Action;
 use proto::policy::Observation;
 use tonic::Status;
 
-use crate::doctor::{
-    answers::Answers,
-    mistakes::{self, Change},
-    probe::{EpisodeAnswers, ExaminationError, Probe, QueryOrder, Target},
-    randomness::{REPEATABLE, SEEDS_PER_MEAN},
-    variant::{Turn, Variant},
-    verdict::{self, Finding, Verdict, pass, points, skip},
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::mistakes::{self, Change};
+use crate::doctor::probe::{EpisodeAnswers, ExaminationError, Probe, QueryOrder, Target};
+use crate::doctor::randomness::{REPEATABLE, SEEDS_PER_MEAN};
+use crate::doctor::variant::{Turn, Variant};
+use crate::doctor::verdict::{self, Finding, Verdict, pass, points, skip};
 
 const SEED: u64 = 1;
 /// Seed of episodes whose answers may differ from those of the reference episode.
 const OTHER_SEED: u64 = 2;
 pub(crate) const CONCURRENCY: u32 = 8;
-/// Number of situations in which a change is tried.
 const TRIED_SITUATIONS: usize = 4;
 
 points! {
@@ -77,7 +74,6 @@ pub async fn check(
     Ok(conforms)
 }
 
-/// Checks one point, by comparison with the reference episode.
 async fn examine(
     point: Point,
     probe: &Probe,

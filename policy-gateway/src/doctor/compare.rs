@@ -5,15 +5,13 @@
 use policy_backends::description::{self, DescriptionDifference};
 use serde::Serialize;
 
-use crate::doctor::{
-    answers::Answers,
-    difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size},
-    fit::{Limit, fit},
-    probe::{ExaminationError, Probe},
-    randomness::{REPEATABLE, Randomness, SEEDS_PER_MEAN},
-    search::{Explanation, SearchResult, SearchSetup},
-    server_pair::{SEED, ServerPair, Side},
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size};
+use crate::doctor::fit::{Limit, fit};
+use crate::doctor::probe::{ExaminationError, Probe};
+use crate::doctor::randomness::{REPEATABLE, Randomness, SEEDS_PER_MEAN};
+use crate::doctor::search::{Explanation, SearchResult, SearchSetup};
+use crate::doctor::server_pair::{SEED, ServerPair, Side};
 
 /// Number of standard errors within which two means count as equal.
 const STANDARD_ERRORS: f64 = 2.5;
@@ -60,7 +58,6 @@ impl AnswerPair {
     }
 }
 
-/// Compares the answers of two servers to the same situations.
 pub async fn compare(a: Probe, b: Probe) -> Result<Comparison, ExaminationError> {
     let mut descriptions = description::differences(&a.described, &b.described);
     // They may well differ between two implementations.
@@ -240,7 +237,6 @@ fn unexplained(pair: &AnswerPair, largest: LargestDifference, closest: &Explanat
     Difference::new(Kind::Unexplained, text)
 }
 
-/// Returns the standard deviation of each component over all actions.
 fn standard_deviations(answers: &Answers) -> Limit {
     let rows: Vec<_> = answers.chunks.iter().flatten().collect();
     let count = rows.len().max(1) as f64;

@@ -2,12 +2,10 @@
 
 use serde::Serialize;
 
-use crate::doctor::{
-    fit::{Convention, Fit, GRIPPER, Map},
-    search::Explanation,
-    server_pair::Side,
-    variant::{Topic, Variant},
-};
+use crate::doctor::fit::{Convention, Fit, GRIPPER, Map};
+use crate::doctor::search::Explanation;
+use crate::doctor::server_pair::Side;
+use crate::doctor::variant::{Topic, Variant};
 
 /// Names of an action's seven components.
 pub(crate) const COMPONENT_NAMES: [&str; 7] =

@@ -7,11 +7,9 @@ use std::time::Duration;
 use benchmark::{CONTROL_HZ, Delays, LatencyFileError};
 use serde::Serialize;
 
-use crate::doctor::{
-    check::CONCURRENCY,
-    probe::{ExaminationError, Probe, Target},
-    verdict::percentile,
-};
+use crate::doctor::check::CONCURRENCY;
+use crate::doctor::probe::{ExaminationError, Probe, Target};
+use crate::doctor::verdict::percentile;
 
 const ROUNDS: u32 = 20;
 
@@ -40,7 +38,6 @@ pub struct Latency {
     pub real_time_chunking: bool,
 }
 
-/// Measures the latency of a policy server.
 pub async fn measure(target: &Target) -> Result<Latency, ExaminationError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
@@ -84,7 +81,6 @@ impl Latency {
         }
     }
 
-    /// Returns the distribution of delays for a campaign.
     pub fn delays(&self) -> Result<Delays, LatencyFileError> {
         Delays::measured(self.delay_steps.clone())
     }
@@ -93,10 +89,7 @@ impl Latency {
         let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
         let steps =
             |milliseconds: f64| terminal::counted(step(milliseconds).into(), "control step");
-        let rtc = match self.real_time_chunking {
-            true => "uses",
-            false => "does not use",
-        };
+        let rtc = if self.real_time_chunking { "uses" } else { "does not use" };
         format!(
             "latency with {} rollouts at once: median {:.0} ms, {} at {} Hz; 95 % within {:.0} ms, \
              {}; slowest {:.0} ms, {}; it {rtc} real-time chunking",

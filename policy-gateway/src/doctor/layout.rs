@@ -5,7 +5,8 @@ use std::fmt;
 
 use proto::policy::StateField;
 
-use crate::doctor::{pose, synthetic::Situation};
+use crate::doctor::pose;
+use crate::doctor::synthetic::Situation;
 
 /// Component of a state vector.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -106,7 +107,6 @@ fn width(parts: &[Part]) -> usize {
     parts.iter().map(|part| part.width()).sum()
 }
 
-/// Returns the values of these parts.
 pub(crate) fn numbers(parts: &[Part], situation: &Situation) -> Vec<f64> {
     parts.iter().flat_map(|part| part.numbers(situation)).collect()
 }

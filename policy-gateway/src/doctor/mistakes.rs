@@ -4,11 +4,9 @@
 use benchmark::Action;
 use proto::policy::{DescribeResponse, Language};
 
-use crate::doctor::{
-    fit::GRIPPER,
-    randomness::{REPEATABLE, SEEDS_PER_MEAN},
-    verdict::{Verdict, fail, pass, skip},
-};
+use crate::doctor::fit::GRIPPER;
+use crate::doctor::randomness::{REPEATABLE, SEEDS_PER_MEAN};
+use crate::doctor::verdict::{Verdict, fail, pass, skip};
 
 /// Largest difference between values that count as equal.
 const SAME: f64 = 1e-6;

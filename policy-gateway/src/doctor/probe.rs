@@ -1,41 +1,34 @@
 //! Client of an examined server, with the observations that it is sent.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicU32, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::{Duration, Instant};
 
 use benchmark::{Action, Suite};
-use policy_backends::{
-    DEFAULT_ANSWER_WITHIN,
-    description::MAX_BATCH_QUERIES,
-    grpc::CONNECT_TIMEOUT,
-    http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES},
-};
+use policy_backends::DEFAULT_ANSWER_WITHIN;
+use policy_backends::description::MAX_BATCH_QUERIES;
+use policy_backends::grpc::CONNECT_TIMEOUT;
+use policy_backends::http2::{CONNECTION_WINDOW_BYTES, STREAM_WINDOW_BYTES};
 use proto::checks::DescriptionFault;
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::policy_server::SERVICE_NAME;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferRequest, InferResponse,
-    Observation, ResetRequest, infer_result, policy_client::PolicyClient,
-    policy_server::SERVICE_NAME,
+    Observation, ResetRequest, infer_result,
 };
 use thiserror::Error;
 use tokio::task::JoinSet;
 use tonic::{Code, Status};
-use tonic_health::pb::{
-    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
-};
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
 use transport::{
     Access, AccessError, ConnectError, Connection, Peer, ServerKind, Settings, parse_endpoint,
     status_text,
 };
 
-use crate::doctor::{
-    synthetic::{self, Situation},
-    verdict::{Verdict, fail, pass, refused},
-};
+use crate::doctor::synthetic::{self, Situation};
+use crate::doctor::verdict::{Verdict, fail, pass, refused};
 
 const SETTINGS: Settings =
     Settings { address: "the URL", authority: "--ca", clear: "grpc://", encrypted: "https://" };
@@ -100,7 +93,6 @@ pub struct Probe {
 }
 
 impl Probe {
-    /// Connects and reads the policy's description.
     pub async fn connect(target: &Target) -> Result<Self, ExaminationError> {
         let url = || target.shown.clone();
         let endpoint = parse_endpoint(&target.url)
@@ -348,7 +340,6 @@ impl Probe {
         }
     }
 
-    /// Returns the name of a new session.
     fn session(&self) -> String {
         let number = self.sessions.fetch_add(1, Ordering::Relaxed);
         format!("examination {}: {number}", self.run)

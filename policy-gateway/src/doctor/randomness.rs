@@ -1,12 +1,10 @@
 //! Randomness of a server's answers: their dependence on the seed, and the difference between
 //! answers to a repeated query.
 
-use crate::doctor::{
-    answers::Answers,
-    probe::ExaminationError,
-    server_pair::{SEED, ServerPair, Side},
-    verdict::BATCH_TOLERANCE,
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::probe::ExaminationError;
+use crate::doctor::server_pair::{SEED, ServerPair, Side};
+use crate::doctor::verdict::BATCH_TOLERANCE;
 
 /// Largest difference of answers that count as equal: batches and kernels change low-order bits.
 pub(crate) const REPEATABLE: f64 = BATCH_TOLERANCE as f64;

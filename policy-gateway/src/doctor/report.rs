@@ -5,12 +5,10 @@ use proto::policy::DescribeResponse;
 use serde::Serialize;
 use terminal::wrapped;
 
-use crate::doctor::{
-    check::Point,
-    compare::Comparison,
-    difference::{Difference, Kind},
-    verdict::Finding,
-};
+use crate::doctor::check::Point;
+use crate::doctor::compare::Comparison;
+use crate::doctor::difference::{Difference, Kind};
+use crate::doctor::verdict::Finding;
 
 /// Indentation of a finding's continuation lines, columns.
 const INDENT: usize = 6;

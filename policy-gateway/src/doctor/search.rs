@@ -1,13 +1,11 @@
 //! Searches for the usual differences between two pipelines that explain two servers' different
 //! answers, and prefers the explanation with the fewest assumptions.
 
-use crate::doctor::{
-    answers::Answers,
-    fit::{Fit, Limit, fit},
-    probe::ExaminationError,
-    server_pair::{ServerPair, Side},
-    variant::{Topic, Variant},
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::fit::{Fit, Limit, fit};
+use crate::doctor::probe::ExaminationError;
+use crate::doctor::server_pair::{ServerPair, Side};
+use crate::doctor::variant::{Topic, Variant};
 
 /// Largest number of changes to observations in one explanation.
 const MAX_CHANGES: usize = 3;
@@ -103,10 +101,7 @@ impl SearchSetup<'_> {
         let mut closest = start.clone();
         let mut explanations: Vec<Explanation> =
             start.fit.explains.then_some(start).cloned().into_iter().collect();
-        let depth = match self.allows_several {
-            true => MAX_CHANGES - start.changes.len(),
-            false => 1,
-        };
+        let depth = if self.allows_several { MAX_CHANGES - start.changes.len() } else { 1 };
         for _ in 0..depth {
             let mut candidates = vec![];
             for changes in self.extensions(&closest.changes) {

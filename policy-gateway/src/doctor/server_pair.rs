@@ -2,11 +2,9 @@
 
 use proto::policy::DescribeResponse;
 
-use crate::doctor::{
-    answers::Answers,
-    probe::{ExaminationError, Probe},
-    variant::Variant,
-};
+use crate::doctor::answers::Answers;
+use crate::doctor::probe::{ExaminationError, Probe};
+use crate::doctor::variant::Variant;
 
 /// First seed, which is no program's default.
 pub(crate) const SEED: u64 = 4_711;
@@ -52,7 +50,6 @@ impl ServerPair {
         self.a.situations.len()
     }
 
-    /// Returns the changes that apply to a server's observations.
     pub(crate) fn variants(&self, side: Side) -> Vec<Variant> {
         match side {
             Side::A => Variant::all(&self.a.described, &self.b.described),

@@ -5,9 +5,10 @@ use std::f64::consts::PI;
 
 use benchmark::{Suite, TaskRef};
 use policy_backends::openpi::frame::resize;
+use proto::policy::entity::Kind;
 use proto::policy::{
     CameraRequest, DescribeResponse, Entity, GoalPredicate, Image, Observation, PrivilegedState,
-    StateField, StateReading, entity::Kind,
+    StateField, StateReading,
 };
 
 use crate::doctor::pose::{self, Quaternion};
@@ -29,7 +30,6 @@ pub struct Situation {
     velocities: [f64; 7],
 }
 
-/// Generates situations for a suite.
 pub fn situations(suite: Suite) -> Vec<Situation> {
     let tasks: Vec<TaskRef> = suite.tasks().collect();
     let situation = |index: usize| {
@@ -48,7 +48,6 @@ pub fn situations(suite: Suite) -> Vec<Situation> {
 }
 
 impl Situation {
-    /// Returns the observation for a server with this description.
     pub fn observation(&self, described: &DescribeResponse) -> Observation {
         let image = |camera: &CameraRequest| {
             let size = [camera.width, camera.height];
@@ -224,10 +223,7 @@ fn frame(camera: &str, index: usize) -> Vec<u8> {
 impl TableObject {
     fn covers(&self, place: [f64; 2]) -> bool {
         let [x, y] = [0, 1].map(|axis| (place[axis] - self.centre[axis]) / self.half[axis]);
-        match self.is_round {
-            true => x * x + y * y <= 1.0,
-            false => x.abs() <= 1.0 && y.abs() <= 1.0,
-        }
+        if self.is_round { x * x + y * y <= 1.0 } else { x.abs() <= 1.0 && y.abs() <= 1.0 }
     }
 }
 

@@ -4,11 +4,9 @@ use std::fmt;
 
 use proto::policy::{DescribeResponse, Image, Observation, StateField};
 
-use crate::doctor::{
-    layout::{self, Part, Parts},
-    pose,
-    synthetic::Situation,
-};
+use crate::doctor::layout::{self, Part, Parts};
+use crate::doctor::pose;
+use crate::doctor::synthetic::Situation;
 
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Variant {

@@ -1,6 +1,7 @@
 //! Verdicts on the points of a check, as pure functions of a server's answers.
 
-use std::{fmt, time::Duration};
+use std::fmt;
+use std::time::Duration;
 
 use proto::policy::InferResponse;
 use tonic::Status;

@@ -1,10 +1,12 @@
 //! Pools of a route: one for all suites, or one per suite.
 
-use std::{collections::BTreeMap, sync::Arc};
+use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use policy_backends::{BackendSpec, UnusableBackend};
 
-use super::{pool::Pool, replica::Replica};
+use super::pool::Pool;
+use super::replica::Replica;
 use crate::config::RouteSpec;
 
 /// Pools by suite; that of the empty name serves all suites.
@@ -49,7 +51,6 @@ impl Checkpoints {
         }
     }
 
-    /// Returns every replica of every pool.
     pub(super) fn replicas(&self) -> Vec<Arc<Replica>> {
         self.0.values().flat_map(|pool| pool.replicas().iter().cloned()).collect()
     }

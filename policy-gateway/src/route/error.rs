@@ -2,37 +2,27 @@
 
 use std::time::Duration;
 
-use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, shorten::shorten};
+use policy_backends::BackendError;
+use policy_backends::sessions::MAX_SESSION_BYTES;
+use policy_backends::shorten::shorten;
 use proto::checks::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{chain, is_outage_code};
 
-use crate::{config::RouteName, observation_budget::MAX_OBSERVATION_BYTES};
+use crate::config::RouteName;
+use crate::observation_budget::MAX_OBSERVATION_BYTES;
 
 /// Reason why a route did not answer.
 #[derive(Debug, Error)]
 pub enum RouteError {
     #[error("route {route}{}", replica_problem(replica, source))]
-    Replica {
-        route: RouteName,
-        /// Back-end of the replica, as configured.
-        replica: String,
-        #[source]
-        source: Box<BackendError>,
-    },
+    Replica { route: RouteName, replica: String, source: Box<BackendError> },
     #[error(
         "route {route} ({replica}) got an answer to query {query_index} that is no chunk of \
          actions: {source}; `policy-gateway check {replica}` looks for the cause"
     )]
-    Action {
-        route: RouteName,
-        /// Back-end of the replica, as configured.
-        replica: String,
-        query_index: u32,
-        #[source]
-        source: ActionFault,
-    },
+    Action { route: RouteName, replica: String, query_index: u32, source: ActionFault },
     /// The session is not open: it was never reset, or the gateway restarted or discarded it. The
     /// episode is lost, through no fault of the policy.
     #[error(
@@ -51,10 +41,7 @@ pub enum RouteError {
         known: String,
     },
     #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one has {bytes}")]
-    Session {
-        /// Length of the name, bytes.
-        bytes: usize,
-    },
+    Session { bytes: usize },
     #[error("route {route} takes no new sessions: it was taken out of the configuration")]
     Retired { route: RouteName },
     #[error(

@@ -1,21 +1,18 @@
 //! Replicas of one checkpoint: assigns sessions and queries to them, and checks that their
 //! descriptions agree.
 
-use std::{
-    fmt,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU64, AtomicUsize, Ordering},
-    },
-    time::Duration,
-};
+use std::fmt;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
 
 use policy_backends::{BackendError, description};
 use proto::policy::DescribeResponse;
 use sha2::{Digest, Sha256};
 
 use super::replica::Replica;
-use crate::{config::Batching, health::Call};
+use crate::config::Batching;
+use crate::health::Call;
 
 /// Interchangeable replicas of a checkpoint.
 pub struct Pool {
@@ -181,7 +178,6 @@ impl Pool {
         Ok(Arc::new(described))
     }
 
-    /// Checks that a description agrees with the first description.
     fn agree(&self, replica: &Replica, described: &DescribeResponse) -> Result<(), String> {
         let mut agreed = self.agreed.lock().unwrap_or_else(PoisonError::into_inner);
         let by = replica.to_string();

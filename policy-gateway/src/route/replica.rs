@@ -5,29 +5,22 @@
 //! wait, and the query of a caller that gives up is removed. A sent query fails when the server has
 //! answered no query for the longest allowed time.
 
-use std::{
-    fmt,
-    sync::{
-        Arc, Mutex, PoisonError,
-        atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::fmt;
+use std::sync::atomic::{AtomicU32, AtomicU64, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
-use policy_backends::{
-    Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, recorder::Recorder,
-    shorten::shorten,
-};
+use policy_backends::recorder::Recorder;
+use policy_backends::shorten::shorten;
+use policy_backends::{Backend, BackendError, BackendSpec, Cause, UnusableBackend, description};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
 use transport::Access;
 
-use crate::{
-    batch::batcher::Batcher,
-    config::{AccessFiles, Batching, RouteSpec},
-    health::{Answered, Call, Health},
-    pace::{NoAnswer, Watch},
-};
+use crate::batch::batcher::Batcher;
+use crate::config::{AccessFiles, Batching, RouteSpec};
+use crate::health::{Answered, Call, Health};
+use crate::pace::{NoAnswer, Watch};
 
 /// Concurrent single queries per server, which computes them one by one. Further queries wait in
 /// the gateway, so that the server holds no copies of their observations.
@@ -49,7 +42,6 @@ pub struct Replica {
     batcher: Batcher,
     calls: Semaphore,
     watch: Arc<Watch>,
-    /// Batch size from the last description.
     batch_size: AtomicUsize,
     /// Actions executed per query, from the last description.
     execute: AtomicU32,
@@ -136,17 +128,14 @@ impl Replica {
         self.load.load(Ordering::Relaxed)
     }
 
-    /// Returns the sequence number of the last session assigned to this replica.
     pub fn last_assigned(&self) -> u64 {
         self.last_assigned.load(Ordering::Relaxed)
     }
 
-    /// Records the assignment of the `number`th session.
     pub fn record_assignment(&self, number: u64) {
         self.last_assigned.store(number, Ordering::Relaxed);
     }
 
-    /// Returns the longest time for which the server may answer no query.
     pub fn answer_within(&self) -> Duration {
         self.answer_within
     }
@@ -206,7 +195,6 @@ impl Replica {
         Ok(described)
     }
 
-    /// Starts an episode.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
         self.call_within_limit(Call::InSession(&session), self.backend.reset(request)).await?;
@@ -325,7 +313,6 @@ impl Replica {
         })
     }
 
-    /// Records what an answer shows about the server's health, and returns the answer.
     fn record_health<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
             Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::NoAnswer),

@@ -1,18 +1,14 @@
 //! `compare` names a mistake planted in one of two servers, and reports nothing for servers that
 //! answer alike.
 
-use policy_gateway::doctor::{
-    compare::{Comparison, compare},
-    difference::Kind,
-    pose,
-    probe::Probe,
-};
+use policy_gateway::doctor::compare::{Comparison, compare};
+use policy_gateway::doctor::difference::Kind;
+use policy_gateway::doctor::pose;
+use policy_gateway::doctor::probe::Probe;
 use proto::policy::StateField;
 
-use crate::{
-    planted::{Action, NetworkInput, Planted, hash, upside_down},
-    scripted::{Running, serve, target},
-};
+use crate::planted::{Action, NetworkInput, Planted, hash, upside_down};
+use crate::scripted::{Running, serve, target};
 
 async fn compared(a: &Running, b: &Running) -> Comparison {
     let probe = async |server: &Running| Probe::connect(&target(&server.address.to_string())).await;

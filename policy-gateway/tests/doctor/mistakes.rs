@@ -1,13 +1,12 @@
 //! `check` warns of a mistake planted in a server, and of nothing for other servers.
 
-use policy_gateway::doctor::{check::Point, verdict::Verdict};
+use policy_gateway::doctor::check::Point;
+use policy_gateway::doctor::verdict::Verdict;
 use proto::policy::{Language, StateField};
 
-use crate::{
-    compare::SOUND,
-    planted::{NetworkInput, Planted},
-    scripted::{findings, serve},
-};
+use crate::compare::SOUND;
+use crate::planted::{NetworkInput, Planted};
+use crate::scripted::{findings, serve};
 
 /// Returns the warnings, and a failure of the actions' range.
 async fn faults(policy: Planted) -> Vec<(Point, String)> {

@@ -1,18 +1,15 @@
 //! A policy with a pipeline like that of real policies, in which tests plant mistakes. Its actions
 //! are a smooth function of pixels, weighted by position, of state, instruction and noise.
+//! The gateway's tests include this file, too.
 
-use std::{
-    collections::HashMap,
-    sync::{
-        Mutex,
-        atomic::{AtomicU64, Ordering},
-    },
-};
+use std::collections::HashMap;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
 
+use proto::policy::policy_server::Policy;
 use proto::policy::{
     CameraRequest, DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferBatchResponse,
     InferRequest, InferResponse, Language, ResetRequest, ResetResponse, StateField,
-    policy_server::Policy,
 };
 use tonic::{Request, Response, Status};
 
@@ -39,7 +36,6 @@ type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 /// The policy, with its preprocessing and postprocessing.
 pub(crate) struct Planted {
     pub(crate) described: DescribeResponse,
-    /// Amplitude of the noise in the actions.
     noise: f64,
     prepare: Box<dyn Fn(&mut NetworkInput) + Send + Sync>,
     finish: Box<Finish>,

@@ -1,32 +1,27 @@
 //! Policy servers on free loopback ports, with answers that the test defines, and the points of the
 //! policy protocol on which a server fails. The gateway's tests include this file, too.
 
-use std::{
-    collections::HashMap,
-    net::SocketAddr,
-    sync::{
-        Mutex,
-        atomic::{AtomicU32, Ordering},
-    },
-};
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use benchmark::Suite;
-use policy_gateway::doctor::{
-    check::{Point, check},
-    probe::Target,
-    verdict::Finding,
-};
+use policy_gateway::doctor::check::{Point, check};
+use policy_gateway::doctor::probe::Target;
+use policy_gateway::doctor::verdict::Finding;
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::policy_server::{Policy, PolicyServer};
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferBatchRequest,
     InferBatchResponse, InferRequest, InferResponse, ResetRequest, ResetResponse,
-    policy_client::PolicyClient,
-    policy_server::{Policy, PolicyServer},
 };
-use tokio::{net::TcpListener, sync::oneshot, task::JoinSet};
-use tonic::{
-    Request, Response, Status,
-    transport::{Channel, Server, server::TcpIncoming},
-};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
+use tonic::transport::server::TcpIncoming;
+use tonic::transport::{Channel, Server};
+use tonic::{Request, Response, Status};
 
 pub(crate) struct Running {
     pub(crate) address: SocketAddr,
@@ -237,7 +232,6 @@ pub(crate) fn target(address: &str) -> Target {
     }
 }
 
-/// Returns the points of the protocol that a server violates.
 pub(crate) async fn failures(address: &str) -> Vec<Point> {
     let mut findings = findings(address).await;
     findings.retain(|finding| finding.verdict.has_failed());

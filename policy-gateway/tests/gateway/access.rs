@@ -2,26 +2,21 @@
 //! credentials are reported with a remedy, and no credential is logged. The server is the real
 //! program.
 
-use std::{
-    io::{BufRead, BufReader, Read},
-    path::Path,
-    process::{Child, Command, Stdio},
-};
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
 
 use policy_gateway::config;
 use tonic::{Code, Status};
 
 use crate::assertions::assert_refused;
 use crate::authority::{Authority, write_private};
-use crate::{
-    program::{listening, program},
-    support::{infer, reloadable, reset},
-};
+use crate::program::{listening, program};
+use crate::support::{infer, reloadable, reset};
 
 const TOKEN: &str = "worker-secret-0123456789";
 const WRONG: &str = "wrong-secret-0123456789";
 
-/// Returns an authority with a file of the token.
 fn authority() -> Authority {
     let authority = Authority::new();
     write_private(&authority.path("token"), &format!("worker {TOKEN}\n"));
@@ -60,7 +55,6 @@ impl Server {
     }
 }
 
-/// Sends one query through a gateway that has these credentials for the server.
 async fn send_query(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
     send_query_over("https", server, ca, token_file).await
 }

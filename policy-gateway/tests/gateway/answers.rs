@@ -1,10 +1,8 @@
 //! A policy's answers: they are kept for retries, and refused if they are not actions. The servers
 //! here are faulty on purpose.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicU32, Ordering},
-};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use proto::policy::InferResponse;
 use tonic::{Code, Status};

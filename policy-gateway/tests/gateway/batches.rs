@@ -1,28 +1,24 @@
 //! Queries that are sent to a server as a batch. The server is simulated: its batches take a fixed
 //! time each, one after the other.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-    time::Duration,
-};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use policy_gateway::config::{Batching, RouteSpec};
+use proto::policy::policy_server::Policy;
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
-    InferResponse, InferResult, ResetRequest, ResetResponse, infer_result, policy_server::Policy,
+    InferResponse, InferResult, ResetRequest, ResetResponse, infer_result,
 };
-use tokio::{sync::Mutex, task::JoinSet};
+use tokio::sync::Mutex;
+use tokio::task::JoinSet;
 use tonic::{Code, Request, Response, Status};
 
 use crate::assertions::assert_refused;
 use crate::support::{behind, chunk, describe, description, infer, reloadable, reset, serve};
 
-/// Largest batch of the simulated server.
 const LARGEST: u32 = 4;
-/// Time that the server takes for one batch.
 const BATCH_TIME: Duration = Duration::from_millis(5);
 
 /// A simulated server of fixed speed. It answers with a hundredth of the number in a session's

@@ -1,26 +1,20 @@
 //! A worker judges a policy server in the same way, directly and through a gateway.
 
-use std::{
-    cell::{Cell, RefCell},
-    net::SocketAddr,
-    sync::{Arc, Mutex},
-    time::Duration,
-};
+use std::cell::{Cell, RefCell};
+use std::net::SocketAddr;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
 
 use policy_gateway::config::{Config, RouteSpec};
-use proptest::{
-    prelude::*,
-    sample::select,
-    test_runner::{TestCaseError, TestRunner},
-};
+use proptest::prelude::*;
+use proptest::sample::select;
+use proptest::test_runner::{TestCaseError, TestRunner};
 use proto::policy::{CameraRequest, DescribeResponse, InferResponse, Observation, Setting};
 use tokio::runtime::Runtime;
 use transport::Access;
-use worker::{
-    actor::{Actor, PolicySession},
-    message::FailureKind,
-    policy::{PolicyClient, ROLLOUT_SETTINGS},
-};
+use worker::actor::{Actor, PolicySession};
+use worker::message::FailureKind;
+use worker::policy::{PolicyClient, ROLLOUT_SETTINGS};
 
 use crate::support::{Scripted, chunk, description, reloadable, serve};
 
@@ -131,7 +125,7 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     for worker in workers.borrow_mut().iter_mut() {
         worker.describe(SESSION).expect("a description");
         let instruction = "pick up the milk and place it in the basket";
-        let reset = worker.reset(SESSION, SESSION.suite, instruction, 7);
+        let reset = worker.reset(SESSION, instruction, 7);
         reset.expect("an episode");
     }
     let query = Cell::new(0);

@@ -1,9 +1,7 @@
 //! Behind a gateway, policies conform to the policy protocol.
 
-use crate::{
-    scripted::{failures, proper, stochastic},
-    support::{Scripted, gateway, serve},
-};
+use crate::scripted::{failures, proper, stochastic};
+use crate::support::{Scripted, gateway, serve};
 
 #[tokio::test]
 async fn the_builtin_policies_conform() {

@@ -1,29 +1,22 @@
 //! More sessions than a server can answer at once. The server is simulated and slow: it computes
 //! one query after the other, each in a fixed time.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicUsize, Ordering},
-    },
-    time::Duration,
-};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
 
 use policy_gateway::config::RouteSpec;
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::policy_server::{Policy, PolicyServer};
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, InferBatchRequest, InferBatchResponse,
     InferRequest, InferResponse, InferResult, ResetRequest, ResetResponse, infer_result,
-    policy_client::PolicyClient,
-    policy_server::{Policy, PolicyServer},
 };
-use tokio::{
-    sync::{Mutex, Semaphore},
-    task::JoinSet,
-};
-use tonic::{
-    Code, Request, Response, Status,
-    transport::{Channel, Server, server::TcpIncoming},
-};
+use tokio::sync::{Mutex, Semaphore};
+use tokio::task::JoinSet;
+use tonic::transport::server::TcpIncoming;
+use tonic::transport::{Channel, Server};
+use tonic::{Code, Request, Response, Status};
 
 use crate::support::{
     Running, chunk, client, description, gateway, infer, reloadable, reset, serve,
@@ -126,7 +119,6 @@ async fn gateway_for(server: &Running, answer_within: Duration) -> Running {
     reloadable(vec![spec]).await.0
 }
 
-/// Sends this number of queries in an open session.
 async fn send_queries(
     client: &mut PolicyClient<Channel>,
     session: &str,

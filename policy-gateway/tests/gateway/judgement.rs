@@ -6,12 +6,10 @@ use proto::policy::{DescribeResponse, Setting};
 use serde_json::Value;
 use tonic::Status;
 
-use crate::{
-    json_keys::{documented, keys},
-    planted::{Planted, upside_down},
-    program::program,
-    support::{Running, Scripted, description, gateway, serve},
-};
+use crate::json_keys::{documented, keys};
+use crate::planted::{Planted, upside_down};
+use crate::program::program;
+use crate::support::{Running, Scripted, description, gateway, serve};
 
 struct CommandOutput {
     status: Option<i32>,

@@ -4,8 +4,10 @@ use std::time::{Duration, Instant};
 
 use policy_backends::builtin::noop::NOOP_ACTION;
 use policy_gateway::health::WAITS;
-use proto::policy::{InferBatchRequest, policy_client::PolicyClient};
-use tonic::{Code, Status, transport::Channel};
+use proto::policy::InferBatchRequest;
+use proto::policy::policy_client::PolicyClient;
+use tonic::transport::Channel;
+use tonic::{Code, Status};
 
 use crate::assertions::assert_refused;
 use crate::support::{describe, gateway, gateway_at, infer, reset, unused_address};

@@ -1,14 +1,14 @@
 //! The program itself: its line of output, its exit codes and its signals.
 
-use std::{
-    io::{BufRead, BufReader},
-    net::SocketAddr,
-    process::{Child, Command, Stdio},
-};
+use std::io::{BufRead, BufReader};
+use std::net::SocketAddr;
+use std::process::{Child, Command, Stdio};
 
 use proto::policy::policy_client::PolicyClient;
-use tonic::{Code, transport::Endpoint};
-use tonic_health::pb::{HealthCheckRequest, health_client::HealthClient};
+use tonic::Code;
+use tonic::transport::Endpoint;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_client::HealthClient;
 use transport::{ClientArguments, Role};
 
 use crate::assertions::assert_refused;
@@ -20,7 +20,6 @@ pub(crate) fn program(arguments: &[&str]) -> Command {
     command
 }
 
-/// Returns the text after "listening on" in the program's first line.
 pub(crate) fn listening(child: &mut Child) -> String {
     let mut line = String::new();
     let stdout = child.stdout.as_mut().expect("stdout is piped");
@@ -109,7 +108,6 @@ fn a_check_with_a_closed_pipe_exits_with_its_verdict() {
     assert!(ended.success(), "{ended}");
 }
 
-/// Creates a file with the tokens of a worker and of a viewer.
 fn token_file() -> tempfile::NamedTempFile {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let tokens = "worker worker-secret-0123456789\nviewer viewer-secret-0123456789\n";

@@ -3,10 +3,13 @@
 
 use std::path::Path;
 
-use policy_backends::{recorder::RecordInto, recording};
+use policy_backends::recorder::RecordInto;
+use policy_backends::recording;
 use policy_gateway::config::RouteSpec;
-use proto::policy::{Image, InferRequest, InferResponse, Observation, policy_client::PolicyClient};
-use tonic::{Code, Status, transport::Channel};
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::{Image, InferRequest, InferResponse, Observation};
+use tonic::transport::Channel;
+use tonic::{Code, Status};
 
 use crate::support::{
     Query, Running, Scripted, chunk, description, infer, reloadable, reset, serve,

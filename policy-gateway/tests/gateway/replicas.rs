@@ -1,16 +1,14 @@
 //! Several servers behind one name: selection of the server for each query.
 
-use std::{
-    collections::BTreeSet,
-    sync::{
-        Arc,
-        atomic::{AtomicU32, Ordering},
-    },
-};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 use policy_gateway::config::{Batching, Config, RouteSpec};
-use proto::policy::{DescribeRequest, DescribeResponse, ResetRequest, policy_client::PolicyClient};
-use tonic::{Code, transport::Channel};
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::{DescribeRequest, DescribeResponse, ResetRequest};
+use tonic::Code;
+use tonic::transport::Channel;
 
 use crate::assertions::assert_refused;
 use crate::support::{
@@ -18,7 +16,6 @@ use crate::support::{
     unused_address,
 };
 
-/// Starts a server whose answers consist of `number`.
 async fn server_answering(described: DescribeResponse, number: f32) -> Running {
     serve(Scripted::new(described, move |_| Ok(chunk(&[number; 7], 7)))).await
 }
@@ -84,7 +81,7 @@ async fn a_stateless_policys_query_moves_to_another_replica_after_a_reset_there(
 }
 
 #[tokio::test]
-async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() {
+async fn a_replica_with_other_weights_serves_no_session() {
     let digest = |digest: &str| DescribeResponse {
         checkpoint_digest: digest.to_owned(),
         ..description("p", 1)
@@ -124,7 +121,6 @@ async fn a_changed_description_of_the_only_replica_is_refused_with_the_differenc
     );
 }
 
-/// Returns a route with a checkpoint for each of two suites.
 fn per_suite(goal: &Running, object: &Running) -> RouteSpec {
     let backend = |server: &Running| {
         let text = format!("grpc://{}", server.address);

@@ -1,17 +1,17 @@
 //! Routing of requests to policies, and the gateway's description of itself.
 
-use policy_backends::{
-    builtin::{self, noop::NOOP_ACTION},
-    description::MAX_BATCH_QUERIES,
-};
+use policy_backends::builtin::noop::NOOP_ACTION;
+use policy_backends::builtin::{self};
+use policy_backends::description::MAX_BATCH_QUERIES;
 use proto::policy::{
     DescribeRequest, DescribeResponse, Image, InferBatchRequest, InferRequest, Observation,
     infer_result,
 };
-use tonic::{Code, transport::Endpoint};
-use tonic_health::pb::{
-    HealthCheckRequest, health_check_response::ServingStatus, health_client::HealthClient,
-};
+use tonic::Code;
+use tonic::transport::Endpoint;
+use tonic_health::pb::HealthCheckRequest;
+use tonic_health::pb::health_check_response::ServingStatus;
+use tonic_health::pb::health_client::HealthClient;
 
 use crate::assertions::assert_refused;
 use crate::support::{client, describe, gateway, infer, reset};

@@ -4,23 +4,20 @@ use std::time::Duration;
 
 use benchmark::RolloutId;
 use benchmark::attempt::AttemptId;
+use proto::policy::policy_server::Policy;
 use proto::policy::{
     DescribeRequest, DescribeResponse, EndRequest, EndResponse, InferRequest, InferResponse,
-    Observation, ResetRequest, ResetResponse, policy_server::Policy,
+    Observation, ResetRequest, ResetResponse,
 };
 use tokio::sync::mpsc;
 use tonic::{Request, Response, Status};
 use transport::Access;
-use worker::{
-    actor::{Actor, PolicySession},
-    message::Session,
-    policy::{PolicyClient, ROLLOUT_SETTINGS},
-};
+use worker::actor::{Actor, PolicySession};
+use worker::message::Session;
+use worker::policy::{PolicyClient, ROLLOUT_SETTINGS};
 
-use crate::{
-    program::{address, program},
-    support::{Scripted, chunk, description, infer, reloadable, reset, serve},
-};
+use crate::program::{address, program};
+use crate::support::{Scripted, chunk, description, infer, reloadable, reset, serve};
 
 /// Session of a rollout, and the policy seed that its worker sends.
 struct Episode {
@@ -71,7 +68,7 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
         for (client, episode) in clients.iter_mut().zip(&episodes) {
             let (session, seed) = (episode.policy_session(), episode.seed);
             client.describe(session).expect("a description");
-            let reset = client.reset(session, "libero_object", "stand still", seed);
+            let reset = client.reset(session, "stand still", seed);
             reset.expect("an episode");
         }
         for index in 0..4 {

@@ -2,15 +2,14 @@
 
 use std::net::SocketAddr;
 
-use policy_gateway::{
-    config::{Config, RouteSpec},
-    service::Gateway,
-};
-use proto::policy::{
-    DescribeRequest, InferRequest, Observation, ResetRequest, policy_client::PolicyClient,
-    policy_server::Policy,
-};
-use tokio::{net::TcpListener, sync::oneshot, task::JoinSet};
+use policy_gateway::config::{Config, RouteSpec};
+use policy_gateway::service::Gateway;
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::policy_server::Policy;
+use proto::policy::{DescribeRequest, InferRequest, Observation, ResetRequest};
+use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
 use tonic::transport::Channel;
 
 pub(crate) use crate::scripted::{Query, Running, Scripted, chunk, client, description, serve};
@@ -20,7 +19,6 @@ pub(crate) async fn gateway(routes: &[&str]) -> Running {
     gateway_at("127.0.0.1:0".parse().expect("an address"), routes).await
 }
 
-/// Starts a gateway with these routes at this address.
 pub(crate) async fn gateway_at(address: SocketAddr, routes: &[&str]) -> Running {
     let routes = routes.iter().map(|text| text.parse::<RouteSpec>().expect(text)).collect();
     let config = Config::new(routes).expect("routes that can be served");
@@ -58,7 +56,6 @@ pub(crate) async fn behind(policy: impl Policy) -> (Running, Running, PolicyClie
     (server, gateway, client)
 }
 
-/// Returns a loopback address at which nothing listens.
 pub(crate) async fn unused_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     listener.local_addr().expect("a bound address")

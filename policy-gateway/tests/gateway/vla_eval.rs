@@ -1,27 +1,24 @@
 //! Scripted vla-eval model servers, with faults that real servers cannot be made to produce.
 //! `policies/tests/test_vla_eval.py` tests the gateway with real model servers.
 
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
+use std::time::Duration;
 
 use benchmark::Suite;
 use futures_util::{SinkExt, StreamExt};
 use policy_gateway::config::{self, RouteSpec};
 use policy_gateway::doctor::synthetic;
-use proto::policy::{InferRequest, policy_client::PolicyClient};
+use proto::policy::InferRequest;
+use proto::policy::policy_client::PolicyClient;
 use rmpv::Value;
-use tokio::{
-    net::TcpListener,
-    sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel},
-    task::JoinSet,
-};
-use tokio_tungstenite::{
-    WebSocketStream, accept_hdr_async,
-    tungstenite::{
-        Message,
-        handshake::server::{Request, Response},
-    },
-};
-use tonic::{Code, Status, transport::Channel};
+use tokio::net::TcpListener;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::task::JoinSet;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::handshake::server::{Request, Response};
+use tokio_tungstenite::{WebSocketStream, accept_hdr_async};
+use tonic::transport::Channel;
+use tonic::{Code, Status};
 
 use crate::assertions::assert_refused;
 use crate::support::{Running, describe, gateway, infer, reloadable, reset};
@@ -35,12 +32,10 @@ enum Answer {
     Nothing,
 }
 
-/// Event of a server.
 #[derive(Debug, PartialEq)]
 enum ServerEvent {
     /// A connection, with the value of its `Authorization` header.
     Connected(Option<String>),
-    /// Type of a received message.
     Received(String),
     Disconnected,
 }
@@ -138,7 +133,6 @@ fn message(kind: &str, payload: Value, number: u64) -> Answer {
     Answer::Message(bytes)
 }
 
-/// Returns the greeting of a vla-eval server.
 fn greeting(number: u64) -> Answer {
     let payload = vec![
         ("harness_version", "0.8.0".into()),

@@ -1,20 +1,20 @@
 //! Servers that are faulty on purpose: each fault is recognised, and faults of the server reach a
 //! worker as an outage, which is never charged.
 
-use std::{
-    sync::{
-        Arc,
-        atomic::{AtomicBool, AtomicU32, Ordering},
-    },
-    time::{Duration, Instant},
-};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::time::{Duration, Instant};
 
-use policy_gateway::{config::RouteSpec, health::BROKEN_WAITS};
+use policy_gateway::config::RouteSpec;
+use policy_gateway::health::BROKEN_WAITS;
+use proto::policy::policy_client::PolicyClient;
+use proto::policy::policy_server::Policy;
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
-    InferResponse, ResetRequest, ResetResponse, policy_client::PolicyClient, policy_server::Policy,
+    InferResponse, ResetRequest, ResetResponse,
 };
-use tonic::{Code, Request, Response, Status, transport::Channel};
+use tonic::transport::Channel;
+use tonic::{Code, Request, Response, Status};
 
 use crate::assertions::assert_refused;
 use crate::support::{Scripted, behind, chunk, description, infer, reloadable, reset, serve};

@@ -31,7 +31,6 @@ MAX_ENVIRONMENTS = {"rlinf": 50, "simplevla": 16}
 
 
 def main() -> None:
-    """Runs the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
     parser.add_argument("--original", default="", help="the original's entries of PYTHONPATH")
     parser.add_argument("--shim", default="", help="this project's entries of PYTHONPATH")

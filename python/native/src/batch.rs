@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use numpy::{PyArrayDyn, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
-use pyo3::types::PyDict;
+use pyo3::types::{PyDict, PySlice};
 use sim::{ActionFrame, RobotState};
 
 use crate::action::{self, Numbers, WIDTH};
@@ -12,20 +12,12 @@ use crate::error::invalid;
 use crate::guarded::{Guarded, closed};
 use crate::simulation::{Simulation, action_frame};
 use crate::start::Start;
-use crate::state::{Snapshot, State, picture_size, shaped};
+use crate::state::{Snapshot, State, picture_size, robot_readings, shaped};
 
 type Foreseen<'py> = (Bound<'py, PyArrayDyn<f64>>, Bound<'py, PyArrayDyn<bool>>);
 
+/// Numbers of all [`robot_readings`] together.
 const READING_WIDTH: usize = 28;
-const READINGS: [(&str, usize); 7] = [
-    ("eef_pos", 3),
-    ("eef_quat", 4),
-    ("eef_axis_angle", 3),
-    ("joint_pos", 7),
-    ("joint_vel", 7),
-    ("gripper_pos", 2),
-    ("gripper_vel", 2),
-];
 
 /// Selection of the control steps of a chunk to render. Readings of the robot are taken after the
 /// rendered steps, or after the last step if none is rendered.
@@ -93,10 +85,7 @@ impl Batch {
         }
         let uses_opengl =
             simulations.iter().any(|simulation| simulation.get().draws_through_opengl());
-        let threads = match uses_opengl {
-            true => 1,
-            false => threads.min(simulations.len()),
-        };
+        let threads = if uses_opengl { 1 } else { threads.min(simulations.len()) };
         let states = simulations.iter().map(|simulation| simulation.get().state.clone());
         Ok(Self { states: states.collect(), threads })
     }
@@ -278,11 +267,11 @@ impl Batch {
         let packed = readings.into_iter().flatten().collect();
         let packed = shaped(py, packed, &shape(&[READING_WIDTH]))?;
         let mut start = 0;
-        for (name, width) in READINGS {
-            let columns =
-                pyo3::types::PySlice::new(py, start as isize, (start + width) as isize, 1);
+        for (name, values) in robot_readings(&RobotState::default()) {
+            let end = start + values.len() as isize;
+            let columns = PySlice::new(py, start, end, 1);
             result.set_item(name, packed.get_item((py.Ellipsis(), columns))?)?;
-            start += width;
+            start = end;
         }
         for (camera, frames) in rendered.iter().zip(frames) {
             let [width, height] = camera.size.map(|side| side as usize);
@@ -340,7 +329,10 @@ impl Task<'_> {
 impl Outputs<'_> {
     /// Writes the readings and frames of the current state, as those of the rendered step `step`.
     fn observe(&mut self, state: &mut State, step: usize, view: View<'_>) -> PyResult<()> {
-        self.readings[step] = reading(&state.environment.robot_state());
+        let robot = state.environment.robot_state();
+        let mut numbers = robot_readings(&robot).into_iter().flat_map(|(_, values)| values);
+        self.readings[step] =
+            std::array::from_fn(|_| *numbers.next().expect("READING_WIDTH numbers"));
         for (camera, pictures) in view.cameras.iter().zip(&mut self.frames) {
             let frame = state.frame(&camera.name, camera.size)?;
             let size = picture_bytes(camera.size);
@@ -349,10 +341,7 @@ impl Outputs<'_> {
             for (to, from) in
                 picture.chunks_exact_mut(row_bytes).zip(frame.rgb.chunks_exact(row_bytes).rev())
             {
-                match view.mirrored {
-                    true => mirror(from, to),
-                    false => to.copy_from_slice(from),
-                }
+                if view.mirrored { mirror(from, to) } else { to.copy_from_slice(from) }
             }
         }
         Ok(())
@@ -366,20 +355,6 @@ fn mirror(from: &[u8], to: &mut [u8]) {
     for (target, pixel) in targets.iter_mut().zip(pixels.iter().rev()) {
         *target = *pixel;
     }
-}
-
-fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
-    let parts: [&[f64]; 7] = [
-        &robot.eef_pos,
-        &robot.eef_quat_xyzw,
-        &robot.eef_axis_angle,
-        &robot.joint_pos,
-        &robot.joint_vel,
-        &robot.gripper_pos,
-        &robot.gripper_vel,
-    ];
-    let mut numbers = parts.into_iter().flatten();
-    std::array::from_fn(|_| *numbers.next().expect("parts hold READING_WIDTH numbers"))
 }
 
 /// Adds `added` to the arm components of the expert's action, and clamps the sums to -1..1.

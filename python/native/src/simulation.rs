@@ -18,7 +18,7 @@ use crate::guarded::Guarded;
 use crate::plus::PlusPath;
 use crate::scene::Scene;
 use crate::start::{Start, check_width};
-use crate::state::{Snapshot, State, pairs, picture_size, shaped, with_drawer};
+use crate::state::{Snapshot, State, pairs, picture_size, robot_readings, shaped, with_drawer};
 
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Simulation {
@@ -77,10 +77,7 @@ impl Simulation {
         hard: bool,
     ) -> PyResult<(Generator<'py>, u32)> {
         let mut rng = generator::read(&generator)?;
-        let kind = match hard {
-            true => Reset::Hard,
-            false => Reset::Soft,
-        };
+        let kind = if hard { Reset::Hard } else { Reset::Soft };
         let (rng, rounds) = self.state.with(py, move |state| {
             state.end_rollout();
             let reset = state.environment.reset(&mut rng, kind, joint_sampler_rounds);
@@ -176,19 +173,11 @@ impl Simulation {
 
     fn readings<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let robot = self.state.with(py, |state| Ok(state.environment.robot_state()))?;
-        let readings = PyDict::new(py);
-        for (name, values) in [
-            ("eef_pos", robot.eef_pos.as_slice()),
-            ("eef_quat", &robot.eef_quat_xyzw),
-            ("eef_axis_angle", &robot.eef_axis_angle),
-            ("joint_pos", &robot.joint_pos),
-            ("joint_vel", &robot.joint_vel),
-            ("gripper_qpos", &robot.gripper_pos),
-            ("gripper_qvel", &robot.gripper_vel),
-        ] {
-            readings.set_item(name, PyArray1::from_slice(py, values))?;
+        let dict = PyDict::new(py);
+        for (name, values) in robot_readings(&robot) {
+            dict.set_item(name, PyArray1::from_slice(py, values))?;
         }
-        Ok(readings)
+        Ok(dict)
     }
 
     fn body_pose<'py>(&self, py: Python<'py>, body: &str) -> PyResult<Pose<'py>> {
@@ -350,10 +339,7 @@ fn numbers(given: &Numbers<'_>) -> Vec<f64> {
 }
 
 pub(crate) fn action_frame(absolute: bool) -> ActionFrame {
-    match absolute {
-        true => ActionFrame::Absolute,
-        false => ActionFrame::Relative,
-    }
+    if absolute { ActionFrame::Absolute } else { ActionFrame::Relative }
 }
 
 fn object_kind(name: &str) -> PyResult<ObjectKind> {

@@ -7,6 +7,7 @@ use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use sim::{
     ActionFrame, CompiledScene, Conditions, Drawer, Environment, Frame, ReadyScene, Renderer,
+    RobotState,
 };
 
 use crate::action::WIDTH;
@@ -174,6 +175,18 @@ pub(crate) fn picture_size(width: u32, height: u32) -> PyResult<[u32; 2]> {
             "draw {width} × {height} pixels: each side may have 1 to {LARGEST_SIDE}"
         ))),
     }
+}
+
+pub(crate) fn robot_readings(robot: &RobotState) -> [(&'static str, &[f64]); 7] {
+    [
+        ("eef_pos", &robot.eef_pos),
+        ("eef_quat", &robot.eef_quat_xyzw),
+        ("eef_axis_angle", &robot.eef_axis_angle),
+        ("joint_pos", &robot.joint_pos),
+        ("joint_vel", &robot.joint_vel),
+        ("gripper_pos", &robot.gripper_pos),
+        ("gripper_vel", &robot.gripper_vel),
+    ]
 }
 
 /// Flattens segments to the kind and id of each pixel's object, -1 for the background.

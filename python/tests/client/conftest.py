@@ -80,7 +80,6 @@ def serve(programs, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def gateway(programs):
-    """A gateway with the scripted expert."""
     flags = ("--listen", "127.0.0.1:0", "--route", "expert=builtin:expert")
     server = Server(programs / "policy-gateway", *flags)
     yield server
@@ -101,7 +100,6 @@ def connect(programs):
 
 @pytest.fixture
 def client(serve, connect):
-    """A client of an empty coordinator."""
     return connect(f"http://{serve().address}")
 
 

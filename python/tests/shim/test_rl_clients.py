@@ -14,7 +14,6 @@ from libero.libero import benchmark
 
 @pytest.fixture(scope="module")
 def rlinf(clients: str) -> str:
-    """The Python of an environment with RLinf."""
     if subprocess.run([clients, "-c", "import rlinf"], capture_output=True).returncode:
         pytest.skip("RLinf is not among the clients")
     return clients

@@ -27,24 +27,16 @@ use worker::open_loop::smooth_action;
 #[derive(Parser)]
 struct Arguments {
     /// Tasks: SUITE/N, separated by commas, or `all` for the 40 of the protocol.
-    #[arg(
-        long,
-        value_delimiter = ',',
-        default_value = "libero_goal/8,libero_object/2,libero_spatial/0,libero_10/0"
-    )]
+    #[arg(long, value_delimiter = ',')]
+    #[arg(default_value = "libero_goal/8,libero_object/2,libero_spatial/0,libero_10/0")]
     tasks: Vec<String>,
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = LIBERO)]
     assets: String,
     /// Conditions, separated by commas, for example nominal/i00 or camera/L3/c07. Without a value:
     /// four perturbed cameras and four perturbed lights.
-    #[arg(
-        long,
-        value_delimiter = ',',
-        default_value = "nominal/i00",
-        num_args = 0..=1,
-        default_missing_value = PERTURBED
-    )]
+    #[arg(long, value_delimiter = ',', default_value = "nominal/i00", num_args = 0..=1)]
+    #[arg(default_missing_value = PERTURBED)]
     conditions: Vec<String>,
     /// Frames of each camera that are timed, a control step apart.
     #[arg(long, default_value_t = 10, value_parser = clap::value_parser!(u16).range(1..))]

@@ -339,7 +339,6 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
 }
 
 impl Bench {
-    /// Runs one whole rollout.
     fn rollout(&mut self, times_physics: bool) -> Result<Timer> {
         let timer = Rc::new(RefCell::new(Timer::new(self.clock, times_physics)));
         let mut actor = OpenLoop {
@@ -363,7 +362,6 @@ impl Bench {
         Ok(timer)
     }
 
-    /// Times the phases of several rollouts and returns medians.
     fn measure(&mut self, rollouts: u32, steps: u32) -> Result<Value> {
         let (mut timers, mut settling) = (Vec::new(), Vec::new());
         for _ in 0..rollouts {

@@ -26,7 +26,6 @@ use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 /// Number of control steps that are played. The result reports another number, from the hash of the
 /// rollout's id and the policy's actions.
 const STEPS: u32 = 12;
-/// Duration of a control step.
 const STEP: Duration = Duration::from_millis(12);
 /// Name of the simulated renderer. Its digest serves as the slot's fingerprint.
 const RENDERER: &str = "simulated";
@@ -79,7 +78,7 @@ fn play(
     let mut policy =
         PolicyClient::new(&assignment.policy_endpoint, &Access::none(), CAMPAIGN_SETTINGS)?;
     let description = policy.describe(session)?;
-    policy.reset(session, session.suite, &row.instruction, assignment.policy_seed)?;
+    policy.reset(session, &row.instruction, assignment.policy_seed)?;
     let mut parts = Parts::default();
     let mut hash = Sha256::new();
     hash.update(row.id.published());
@@ -156,7 +155,6 @@ fn path(hash: &[u8]) -> Vec<[i16; 3]> {
     (0..=STEPS).map(point).collect()
 }
 
-/// Returns the parameters of each perturbed axis as realised values.
 fn realised(assignment: &Assignment) -> Realised {
     let perturbation = &assignment.row.perturbation;
     let mut realised = Realised::default();

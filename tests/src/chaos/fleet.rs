@@ -48,7 +48,6 @@ pub struct Plan {
     pub patience: Duration,
 }
 
-/// A worker and the identity of its simulated machine.
 struct Worker {
     process: Process,
     machine: usize,
@@ -94,17 +93,11 @@ impl Plan {
 
 impl Fleet {
     /// Starts all processes and creates a small campaign.
-    ///
-    /// # Panics
-    /// If something does not start.
     pub fn start(slots: SlotKind) -> Self {
         Self::start_with(Plan::small(slots))
     }
 
     /// Starts all processes and creates the plan's campaign.
-    ///
-    /// # Panics
-    /// If something does not start.
     pub fn start_with(plan: Plan) -> Self {
         let folder = tempfile::tempdir().expect("a temporary folder");
         // The coordinator on the read-only database may run as another user, who must be able to
@@ -140,9 +133,6 @@ impl Fleet {
     }
 
     /// Injects all faults of a schedule and recovers from each.
-    ///
-    /// # Panics
-    /// If a process does not come back.
     pub fn inject_all(&mut self, schedule: &Schedule) {
         let start = Instant::now();
         for (at, fault) in &schedule.faults {
@@ -153,9 +143,6 @@ impl Fleet {
 
     /// Waits until the campaign is finished, and returns its complete output: the report, as
     /// table and as JSON, and the results without their wall times.
-    ///
-    /// # Panics
-    /// If the campaign does not finish or its database violates an invariant.
     pub fn outcome(&mut self) -> String {
         let start = Instant::now();
         while !self.is_finished() {
@@ -176,17 +163,11 @@ impl Fleet {
 
     /// Returns true if the campaign is finished, so that no rollout runs unless an operator
     /// intervenes.
-    ///
-    /// # Panics
-    /// If the coordinator does not respond.
     pub fn is_finished(&self) -> bool {
         self.status()["is_finished"] == true
     }
 
     /// Returns the campaign's status from `campaign status --json`.
-    ///
-    /// # Panics
-    /// If the coordinator does not respond.
     pub fn status(&self) -> serde_json::Value {
         let status = self.command_output(&["campaign", "status", CAMPAIGN, "--json"]);
         let status: serde_json::Value = serde_json::from_str(&status).expect("JSON");
@@ -194,9 +175,6 @@ impl Fleet {
     }
 
     /// Waits until at least `count` rollouts are committed.
-    ///
-    /// # Panics
-    /// If the wait times out.
     pub fn wait_for_commits(&self, count: usize) {
         let start = Instant::now();
         let results = ["export", CAMPAIGN, "--format", "jsonl"];
@@ -217,7 +195,6 @@ impl Fleet {
         }
     }
 
-    /// Returns the last lines of the log of all programs.
     pub fn log_tail(&self) -> String {
         let log = std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
@@ -229,9 +206,6 @@ impl Fleet {
     }
 
     /// Runs a command against the coordinator, bypassing the wires, and returns its output.
-    ///
-    /// # Panics
-    /// If the command fails.
     pub fn command_output(&self, arguments: &[&str]) -> String {
         let coordinator = self.coordinator.as_ref().expect("a coordinator");
         let output = Command::new(program("coordinator"))
@@ -245,9 +219,6 @@ impl Fleet {
     }
 
     /// Injects one fault and recovers from it.
-    ///
-    /// # Panics
-    /// If a process does not come back.
     pub fn inject(&mut self, fault: Fault) {
         match fault {
             Fault::KillCoordinator(down) => {
@@ -335,26 +306,17 @@ impl Fleet {
     }
 
     /// Shuts the coordinator down gracefully and starts it again.
-    ///
-    /// # Panics
-    /// If the shutdown fails or the coordinator does not come back.
     pub fn restart_coordinator(&mut self) {
         self.end_coordinator();
         self.start_coordinator();
     }
 
     /// Retries every quarantined rollout.
-    ///
-    /// # Panics
-    /// If the command fails.
     pub fn retry_quarantined(&self) {
         self.command_output(&["jobs", CAMPAIGN, "--retry"]);
     }
 
     /// Backs up the database while the coordinator runs and returns the copy's path.
-    ///
-    /// # Panics
-    /// If the command fails.
     pub fn back_up(&self) -> PathBuf {
         let copy = self.folder.path().join("backup.sqlite");
         self.command_output(&["backup", "--output", &copy.to_string_lossy()]);
@@ -362,9 +324,6 @@ impl Fleet {
     }
 
     /// Deletes the data folder and restarts the coordinator from a copy of the database.
-    ///
-    /// # Panics
-    /// If the coordinator does not come back.
     pub fn restore(&mut self, copy: &Path) {
         self.kill_coordinator();
         std::fs::remove_dir_all(self.data()).expect("a writable folder");
@@ -375,9 +334,6 @@ impl Fleet {
 
     /// Restarts the coordinator with its wall clock shifted by `by` in libfaketime's format,
     /// such as `+1d`. Returns false if libfaketime is not installed.
-    ///
-    /// # Panics
-    /// If the coordinator does not come back.
     pub fn jump_clock(&mut self, by: &'static str) -> bool {
         let Some(library) = faketime() else {
             return false;

@@ -6,7 +6,6 @@ use std::time::Duration;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Number of faults in a schedule.
 const FAULTS: u64 = 3;
 /// Largest number of charged faults in a schedule. A fault is charged to a rollout if it kills a
 /// slot while its worker runs. A third charged attempt would correctly quarantine the rollout,
@@ -48,7 +47,6 @@ pub enum Fault {
     StopWorker(Duration),
     /// SIGSTOP of the coordinator, then SIGCONT after the given time.
     StopCoordinator(Duration),
-    /// All connections of a link are cut at once.
     Cut(Link),
     /// A link refuses all connections for the given time.
     Block(Link, Duration),

@@ -37,9 +37,6 @@ struct State {
 
 impl Wire {
     /// Creates a wire without a server.
-    ///
-    /// # Panics
-    /// If there is no free port.
     pub fn new() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
         let wire =
@@ -57,7 +54,6 @@ impl Wire {
         wire
     }
 
-    /// Returns the URL for clients, `http://…`.
     pub fn url(&self) -> String {
         format!("http://{}", self.address)
     }
@@ -85,7 +81,6 @@ impl Wire {
         self.cut();
     }
 
-    /// Delays every forwarded buffer by the given time.
     pub fn delay(&self, by: Duration) {
         let millis = u64::try_from(by.as_millis()).expect("a short time");
         self.state.delay_ms.store(millis, Ordering::Relaxed);

@@ -36,7 +36,6 @@ pub enum Requirement {
 }
 
 impl Requirement {
-    /// Parses the word of a `needs` comment.
     pub fn parse(word: &str) -> Option<Self> {
         match word {
             "reference data" => Some(Self::ReferenceData),
@@ -104,7 +103,6 @@ impl Network {
         best.unwrap_or(Self::Machine)
     }
 
-    /// Returns the command prefix that runs a program in the network.
     pub fn wrapper(self) -> &'static [&'static str] {
         match self {
             Self::OfRoot => &["unshare", "--net", "sh", "-c", UP, "sh"],
@@ -126,9 +124,6 @@ pub struct Folder {
 
 impl Folder {
     /// Creates the folder.
-    ///
-    /// # Panics
-    /// If files cannot be written.
     pub fn make() -> Self {
         let network = Network::of_this_machine();
         let lock = (network == Network::Machine).then(|| {
@@ -167,7 +162,6 @@ impl Folder {
         self.root.path().join("rollout")
     }
 
-    /// Returns the folder for the outputs of commands.
     pub fn outputs(&self) -> PathBuf {
         self.root.path().join("outputs")
     }

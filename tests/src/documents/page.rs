@@ -24,29 +24,20 @@ const PROGRAMS: [&str; 11] = [
 pub struct Step {
     /// Line of the page where the step begins, from 1.
     pub line: usize,
-    /// Action of the step.
     pub action: Action,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Action {
-    /// Runs commands in sequence.
     Run {
         commands: Vec<Command>,
         /// Requirement named in a `needs` comment.
         needs: Option<String>,
     },
     /// Writes a file into the folder of the session.
-    Write {
-        name: String,
-        /// Content of the file.
-        text: String,
-    },
+    Write { name: String, text: String },
     /// Skips a block of commands.
-    Skip {
-        /// Reason given in the page's source.
-        reason: String,
-    },
+    Skip { reason: String },
 }
 
 /// A command of a block: one line, or several continued lines.

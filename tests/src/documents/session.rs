@@ -50,7 +50,6 @@ struct Server {
 /// Report of a failed command.
 #[derive(Debug)]
 pub struct Failure {
-    /// Problem in one line.
     pub problem: String,
     /// Output of the command; only the end if it is long.
     pub output: String,
@@ -60,9 +59,6 @@ pub struct Failure {
 
 impl Session {
     /// Starts the shell.
-    ///
-    /// # Panics
-    /// If it cannot be started.
     pub fn start(folder: &Folder) -> Self {
         let mut words = folder.network().wrapper().iter().chain(&["bash", "-c"]);
         let mut program = Program::new(words.next().expect("a program"));
@@ -107,10 +103,7 @@ impl Session {
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
             let printed = fs::read_to_string(&output).unwrap_or_default();
-            let ready = match command.contains("coordinator up") {
-                true => &ALL_READY[..],
-                false => &READY,
-            };
+            let ready = if command.contains("coordinator up") { &ALL_READY[..] } else { &READY };
             if ready.iter().any(|ready| printed.contains(ready))
                 || (is_display && !printed.is_empty())
             {

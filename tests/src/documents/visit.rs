@@ -11,9 +11,6 @@ use super::session::{Failure, Session};
 const SHARED: &str = "../shared";
 
 /// Runs the commands of a page of the checkout, and prints the skipped ones with the reason.
-///
-/// # Panics
-/// If a command fails, with its line, text and output, or if the page cannot be read.
 pub fn run_page(page: &str) {
     let text = fs::read_to_string(checkout().join(page)).expect("the page");
     let failures = failures(page, &text);
@@ -22,9 +19,6 @@ pub fn run_page(page: &str) {
 
 /// Runs the commands of a page and returns descriptions of the failures with line, command and
 /// output. Continues after a failure if the shell is still usable.
-///
-/// # Panics
-/// If `text` cannot be parsed or names an unknown requirement.
 pub fn failures(page: &str, text: &str) -> Vec<String> {
     let steps = steps(text).unwrap_or_else(|error| panic!("{page}, {error}"));
     let folder = Folder::make();

@@ -50,7 +50,6 @@ pub struct Findings {
 }
 
 impl Findings {
-    /// Returns descriptions of the violated limits.
     pub fn violations(&self) -> Vec<String> {
         let mut found = Vec::new();
         let differences = [("states", Some(self.states)), ("the camera", self.camera)];
@@ -70,24 +69,20 @@ impl Findings {
     }
 }
 
-/// Reason why a case was not compared.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Skipped(pub String);
 
-/// Compares cases with their recordings.
 pub struct Comparison {
     sources: Sources,
     pack: AssetPack,
     /// LIBERO-PRO's assets; `None` if no folder of them is named.
     pro_pack: Option<AssetPack>,
-    /// Checkout of LIBERO-Para.
     para: Option<PathBuf>,
     /// Pictures in the look of `pack`.
     pictures: PathBuf,
     simulators: BTreeMap<PathBuf, Simulator>,
 }
 
-/// A case as this project runs it.
 struct Run {
     group: String,
     files: TaskFiles,
@@ -337,7 +332,6 @@ fn task_of(suite: ProSuite, name: &str) -> Result<TaskRef> {
     task.with_context(|| format!("{suite} has no task {name}"))
 }
 
-/// Returns the task's number in the name of a file of LIBERO-Para.
 fn number_of_task(name: &str) -> Result<usize> {
     let number = name.rsplit_once("_eval").map(|(_, rest)| rest);
     let number = number.and_then(|rest| rest.split_once("_ver"));

@@ -8,7 +8,6 @@ use benchmark::Benchmark;
 use super::comparison::Findings;
 use crate::fidelity::FrameFindings;
 
-/// Findings by benchmark and group.
 #[derive(Default)]
 pub struct Table {
     lines: BTreeMap<(Benchmark, String), Line>,

@@ -71,7 +71,6 @@ pub struct ContactFindings {
 /// The largest difference and its location.
 #[derive(Debug, Clone, Default)]
 pub struct Worst {
-    /// The difference.
     pub value: f64,
     /// Name of the array or step.
     pub place: String,
@@ -92,7 +91,6 @@ impl fmt::Display for Worst {
 }
 
 impl Findings {
-    /// Describes each finding beyond its limit.
     pub fn violations(&self, limits: &Limits) -> Vec<String> {
         let mut found = Vec::new();
         let mut check = |label: &str, worst: &Worst, limit: f64| {

@@ -29,7 +29,6 @@ pub enum RendererRelation {
     AnotherDriver,
     /// OpenGL on the machine that recorded the reference.
     ThisMachine,
-    /// The software renderer.
     AnotherRenderer,
 }
 
@@ -56,7 +55,6 @@ pub struct FrameLimits {
 }
 
 impl RendererRelation {
-    /// Returns the kind of comparison for a renderer.
     pub fn for_drawer(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
         match drawer {
             Drawer::Software => Self::AnotherRenderer,
@@ -157,7 +155,6 @@ impl fmt::Display for FrameFindings {
 }
 
 impl FrameFindings {
-    /// Compares two pictures of one size.
     pub fn add(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
         let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
         for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {
@@ -173,7 +170,6 @@ impl FrameFindings {
         self.close.add(share(close), place);
     }
 
-    /// Adds the findings of further frames.
     pub fn merge(&mut self, other: &Self) {
         self.equal.add(other.equal.share, &other.equal.place);
         self.close.add(other.close.share, &other.close.place);

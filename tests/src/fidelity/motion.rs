@@ -78,7 +78,6 @@ fn compare_trajectory(
     Ok(())
 }
 
-/// Compares the readings with those that the original returned at a step.
 fn compare_observation(
     recorded: &Arrays,
     step: usize,
@@ -125,7 +124,6 @@ pub(super) fn compare_predicates(
     Ok(())
 }
 
-/// Replays the contact-rich recording.
 pub(super) fn compare_contact(
     task: &ReferenceTask,
     environment: &mut Environment,

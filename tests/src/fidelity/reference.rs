@@ -36,7 +36,6 @@ pub struct Array {
 }
 
 impl Array {
-    /// Returns the entry at `index` along the first axis.
     pub fn row(&self, index: usize) -> &[f64] {
         let width: usize = self.shape[1..].iter().product();
         &self.values[index * width..(index + 1) * width]
@@ -97,7 +96,6 @@ fn folders(dir: &Path) -> Result<Vec<PathBuf>> {
 }
 
 impl ReferenceTask {
-    /// Returns the task's id, such as `libero_goal/3`.
     pub fn id(&self) -> String {
         format!("{}/{}", self.suite, self.index)
     }
@@ -143,7 +141,6 @@ impl ReferenceTask {
     }
 }
 
-/// Reads the numeric arrays of an `.npz` file.
 pub fn read_npz(path: &Path) -> Result<BTreeMap<String, Array>> {
     let read = || format!("read {}", path.display());
     let file = File::open(path).with_context(read)?;

@@ -27,9 +27,6 @@ pub(crate) fn methods(proto: &str) -> Vec<String> {
 }
 
 /// Calls the method at `path` and returns the messages of its answer.
-///
-/// # Panics
-/// If the answer is not valid gRPC.
 pub(crate) async fn call(
     routes: &mut Routes,
     path: &str,

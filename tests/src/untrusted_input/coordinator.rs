@@ -29,9 +29,6 @@ pub(crate) use seeds::seeds;
 static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| run_valid(&messages::lease_calls()).0);
 
 /// Makes the calls of an input in order; returns true if none was refused.
-///
-/// # Panics
-/// If a check of this module fails.
 pub(crate) fn check_calls(input: &[u8]) -> bool {
     let database = &*DATABASE;
     block_on(async {

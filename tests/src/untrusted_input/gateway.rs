@@ -24,9 +24,6 @@ static METHODS: LazyLock<Vec<String>> =
     LazyLock::new(|| methods(include_str!("../../../proto/rollout/policy/v1/policy.proto")));
 
 /// Makes the calls of an input in order; returns true if none was refused.
-///
-/// # Panics
-/// If a call gets no answer, or the gateway reports an internal fault.
 pub(crate) fn check_calls(input: &[u8]) -> bool {
     block_on(async {
         let routes = ["noop=builtin:noop", "expert=builtin:expert"];
@@ -50,9 +47,6 @@ pub(crate) fn check_calls(input: &[u8]) -> bool {
 }
 
 /// Parses an input as every kind of policy server answer; returns true if one kind accepts it.
-///
-/// # Panics
-/// If an accepted answer contains actions that a robot may not execute.
 pub(crate) fn check_answers(input: &[u8]) -> bool {
     let mut is_accepted = false;
     if let Ok(described) = wire::DescribeResponse::decode(input)

@@ -2,7 +2,6 @@
 //! bytes (little-endian) and its bytes. [`MORE`] added to the number appends the message to the
 //! preceding call.
 
-/// Most calls that one input makes.
 pub(crate) const MAX_CALLS: usize = 32;
 /// Flag on a method's number: a further message of the same call.
 pub(crate) const MORE: u8 = 0x80;
@@ -40,9 +39,6 @@ pub(crate) fn read(mut input: &[u8]) -> Vec<Call<'_>> {
 }
 
 /// Encodes one message of an input.
-///
-/// # Panics
-/// If the message is longer than 65,535 bytes.
 pub(crate) fn write(number: u8, message: &[u8]) -> Vec<u8> {
     let length = u16::try_from(message.len()).expect("a short message");
     [&[number], &length.to_le_bytes()[..], message].concat()

@@ -49,7 +49,6 @@ fn session(name: &str, arguments: &[&str], variables: &[(&str, &str)], folder: &
     }
 }
 
-/// Compares a text with its snapshot.
 fn compare(name: &str, text: &str) {
     let mut settings = insta::Settings::clone_current();
     settings.set_prepend_module_to_snapshot(false);

@@ -12,7 +12,6 @@ use tests::programs::{Process, program};
 use crate::authority::Authority;
 use crate::compare;
 
-/// Returns an address at which nothing listens.
 fn unused_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
@@ -54,7 +53,6 @@ fn host_port(process: &Process) -> String {
 /// Beginning of the error about a server that does not answer; the reason follows it.
 const NO_ANSWER: &str = "no answer came from it (";
 
-/// Server that a client meets.
 struct Case {
     name: &'static str,
     /// `HOST:PORT`.

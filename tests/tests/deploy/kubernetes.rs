@@ -35,12 +35,10 @@ fn secrets() -> PathBuf {
 #[derive(Debug, serde::Deserialize)]
 struct Checked {
     faults: Vec<String>,
-    /// Command lines of the containers.
     commands: Vec<Vec<String>>,
     resources: usize,
 }
 
-/// Checks groups of manifests in one Python process, which takes seconds to start.
 fn check(python: &Path, groups: &[Vec<PathBuf>]) -> Vec<Checked> {
     let mut script = Command::new(python);
     script.arg(concat!(env!("CARGO_MANIFEST_DIR"), "/tests/deploy/manifests.py"));
@@ -56,7 +54,6 @@ fn check(python: &Path, groups: &[Vec<PathBuf>]) -> Vec<Checked> {
     checked
 }
 
-/// Asserts that manifests and their command lines are valid.
 fn assert_valid(checked: &Checked) {
     assert_eq!(checked.faults, [""; 0]);
     // Coordinator, gateway and worker.

@@ -32,7 +32,6 @@ fn help(words: &[String]) -> String {
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
 
-/// Returns the flags of a command line that its program does not have.
 fn unknown_flags(words: &[String]) -> Vec<String> {
     let (name, arguments) = words.split_first().expect("a program");
     let help = help(words);

@@ -18,7 +18,6 @@ fn unit(name: &str) -> String {
     fs::read_to_string(folder("systemd").join(name)).expect("a unit")
 }
 
-/// Returns systemd's warnings about units with these texts.
 fn warnings(units: &[(&str, String)]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let paths = units.iter().map(|(name, text)| {

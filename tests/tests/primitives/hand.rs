@@ -191,10 +191,7 @@ fn share_offset(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     // The place's axes in the world frame; places lie flat and are rotated about z.
     let [w, _, _, z] = place.quat_wxyz;
     let (sin, cos) = (2.0 * z.atan2(w)).sin_cos();
-    match along_x {
-        true => [offset * cos, offset * sin],
-        false => [-offset * sin, offset * cos],
-    }
+    if along_x { [offset * cos, offset * sin] } else { [-offset * sin, offset * cos] }
 }
 
 /// Raises the object of this free joint from a position until it overlaps nothing, and leaves the

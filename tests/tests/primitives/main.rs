@@ -13,7 +13,6 @@ use tests::files::{primitives, sources};
 use hand::reach_goal;
 use table::{MAX_DRIFT, MAX_OVERLAP, Released, deepest_overlap};
 
-/// Released initial states of a task.
 const STATES: u16 = 50;
 /// A released state in which cream cheese and milk overlap, so that even the original LIBERO throws
 /// an object, by 152 mm; and the distance that is allowed here, m.

@@ -49,7 +49,6 @@ pub(crate) struct Released<'a> {
 }
 
 impl<'a> Released<'a> {
-    /// Records the positions of all objects.
     pub(crate) fn record(problem: &'a Problem, episode: &mut Episode<'_>) -> Self {
         let mut objects = entities(episode);
         objects.retain(|entity| entity.kind == EntityKind::Object);

@@ -23,7 +23,6 @@ pub struct Coverage {
     to_fetch: Option<BTreeMap<&'static str, &'static FileFacts>>,
 }
 
-/// Present and missing models of one kind.
 #[derive(Debug, Default)]
 struct Models {
     present: BTreeSet<String>,

@@ -20,7 +20,6 @@ const PAGE: Colour = [240, 240, 232];
 const PAPER: Colour = [255, 255, 255];
 const INK: Colour = [32, 32, 32];
 
-/// Contact sheet under construction.
 pub(super) struct Sheet {
     columns: usize,
     cell: usize,
@@ -55,7 +54,6 @@ impl Sheet {
         self.cells.push((label.to_owned(), page));
     }
 
-    /// Composes all cells into one picture, row by row.
     pub(super) fn finish(self) -> Picture {
         let rows = self.cells.len().div_ceil(self.columns);
         let (wide, high) = (self.cell + GAP, self.cell + LABEL_HEIGHT + GAP);

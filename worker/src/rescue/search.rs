@@ -29,7 +29,6 @@ pub(super) enum SearchResult {
 }
 
 impl Search {
-    /// Starts a search over a rollout with `queries` queries.
     pub(super) fn new(queries: usize) -> Self {
         Self { queries, tried: BTreeMap::new() }
     }
@@ -52,7 +51,6 @@ impl Search {
         })
     }
 
-    /// Returns the result once [`Search::next`] has nothing left to try.
     pub(super) fn result(&self) -> SearchResult {
         match self.last_saved() {
             None => SearchResult::NeverSaved,

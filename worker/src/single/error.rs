@@ -23,11 +23,7 @@ pub enum SingleError {
     #[error(transparent)]
     Rollout(#[from] RolloutError),
     #[error("write {}", path.display())]
-    Write {
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
 }
 
 pub(super) fn write_error(path: &Path, source: io::Error) -> SingleError {

@@ -60,7 +60,6 @@ impl Header {
         Ok(Self { descr: descr.to_owned(), shape })
     }
 
-    /// Reads `count` floats.
     pub(super) fn floats(&self, file: &mut impl Read, count: usize) -> Result<Vec<f64>, String> {
         let bytes = match self.descr.as_str() {
             "<f8" | "<f4" => usize::from(self.descr.as_bytes()[2] - b'0'),

@@ -12,7 +12,6 @@ use super::error::SingleError;
 #[derive(Debug)]
 pub struct OwnTask {
     pub bddl: PathBuf,
-    /// The `.pruned_init` file.
     pub init: PathBuf,
     /// Index of the initial state, from 0.
     pub init_id: u16,
@@ -26,7 +25,6 @@ pub struct OwnTask {
 }
 
 impl OwnTask {
-    /// Returns the paths of the task's files.
     pub fn files(&self) -> TaskFiles {
         TaskFiles { bddl: self.bddl.clone(), init: self.init.clone() }
     }

@@ -26,7 +26,6 @@ const MAX_LINE_BYTES: u64 = 4096;
 pub struct RecordedActions {
     path: PathBuf,
     actions: Vec<Action>,
-    /// Index of the action to replay next.
     next: usize,
 }
 
@@ -82,7 +81,6 @@ impl Actor for RecordedActions {
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
-        _suite: &str,
         _instruction: &str,
         _seed: u64,
     ) -> Result<(), PolicyError> {

@@ -220,7 +220,6 @@ impl Actor for ObservingActor {
     fn reset(
         &mut self,
         _session: PolicySession<'_>,
-        _suite: &str,
         instruction: &str,
         _seed: u64,
     ) -> Result<(), PolicyError> {

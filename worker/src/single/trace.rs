@@ -66,7 +66,6 @@ impl Trace {
         self.success.push(environment.succeeded());
     }
 
-    /// Writes the trace as a compressed NPZ file.
     pub(super) fn write(&self, path: &Path) -> io::Result<()> {
         let mut npz = ZipWriter::new(BufWriter::new(File::create(path)?));
         let scenes = self.success.len();

@@ -14,7 +14,6 @@ use crate::assets::Provider;
 use crate::child::SlotProgram;
 use crate::ids::WorkerId;
 
-/// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct Config {
     pub coordinator: String,
@@ -53,7 +52,6 @@ pub struct Identity {
     pub asset_pack: String,
     /// SHA-256 of the asset pack, hex.
     pub asset_pack_digest: String,
-    /// The simulator's version.
     pub mujoco_version: String,
     pub look: Look,
 }
@@ -98,7 +96,6 @@ fn cores() -> u32 {
 /// The coordinator's time limits.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Timing {
-    /// Interval between heartbeats.
     pub(super) heartbeat: Duration,
     /// Longest time without progress of a rollout or a video, after which its slot is killed.
     pub(super) progress_timeout: Duration,

@@ -12,7 +12,6 @@ use super::config::Identity;
 use super::link::Link;
 use crate::message::{Failure, Finished};
 
-/// Outcome of a rollout.
 #[derive(Debug)]
 pub(crate) enum Ending {
     /// The rollout has a result.
@@ -21,7 +20,6 @@ pub(crate) enum Ending {
     Failed(Failure),
 }
 
-/// End of a rollout that is to be reported to the coordinator.
 #[derive(Debug)]
 pub(crate) struct Delivery {
     pub(crate) attempt: AttemptId,
@@ -41,7 +39,6 @@ pub(crate) enum Answer {
 }
 
 impl Delivery {
-    /// Logs how the rollout ended.
     pub(crate) fn log(&self) {
         let label = &self.label;
         match &self.ending {

@@ -19,26 +19,16 @@ pub enum SuperviseError {
     #[error("continue: the coordinator stopped this worker because {0}")]
     Stopped(String),
     #[error("take a lease of the coordinator at {url}")]
-    Lease {
-        url: String,
-        #[source]
-        source: AttemptIdError,
-    },
+    Lease { url: String, source: AttemptIdError },
     #[error("continue: a task of this worker panicked ({0}); this is a defect")]
     Panicked(String),
     #[error(
         "keep slot {slot}: its renderer is `{renderer}` and this worker is registered with \
          `{registered}`; start one worker for each renderer"
     )]
-    Renderers {
-        /// Number of the slot, from 0.
-        slot: usize,
-        renderer: String,
-        registered: String,
-    },
+    Renderers { slot: usize, renderer: String, registered: String },
     #[error("start slot {slot}: the machine's limits allow no further process; use fewer --slots")]
     Exhausted {
-        /// Number of the slot, from 0.
         slot: usize,
         #[source]
         error: io::Error,
@@ -47,9 +37,5 @@ pub enum SuperviseError {
         "keep slot {slot} running: its process ended {MAX_FAILED_STARTS} times in a row without \
          finishing a rollout; the last one {end}"
     )]
-    Slot {
-        /// Number of the slot, from 0.
-        slot: usize,
-        end: String,
-    },
+    Slot { slot: usize, end: String },
 }

@@ -55,12 +55,17 @@ pub(crate) enum Event {
     Registered(Result<RegisterResponse, Status>),
     /// The interval between heartbeats has passed.
     HeartbeatDue,
-    /// The coordinator answered a heartbeat.
     Renewed(Result<HeartbeatResponse, Status>),
-    /// The coordinator answered a slot's claim.
-    Claimed { slot: usize, answer: Result<ClaimResponse, Status> },
+    Claimed {
+        slot: usize,
+        answer: Result<ClaimResponse, Status>,
+    },
     /// The files of an attempt's task were fetched or could not be fetched.
-    Provided { slot: usize, attempt: AttemptId, outcome: Result<(), ProvideError> },
+    Provided {
+        slot: usize,
+        attempt: AttemptId,
+        outcome: Result<(), ProvideError>,
+    },
     /// The coordinator answered the report of a slot's rollout.
     Delivered {
         slot: usize,
@@ -68,12 +73,18 @@ pub(crate) enum Event {
         label: String,
         answer: Answer,
     },
-    /// A slot's process sent an event.
-    Slot { key: ProcessKey, event: SlotEvent },
-    /// A slot's process ended.
-    Ended { key: ProcessKey, end: ProcessEnd },
-    /// A task of this program panicked.
-    Panicked { task: task::Id, error: String },
+    Slot {
+        key: ProcessKey,
+        event: SlotEvent,
+    },
+    Ended {
+        key: ProcessKey,
+        end: ProcessEnd,
+    },
+    Panicked {
+        task: task::Id,
+        error: String,
+    },
     /// Shutdown was requested. After the first request the worker drains; after the second it gives
     /// its rollouts back.
     Shutdown,

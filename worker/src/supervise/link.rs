@@ -60,7 +60,6 @@ struct LinkState {
     has_answered: AtomicBool,
     /// Start of the current outage; `None` while the coordinator answers.
     outage: Mutex<Option<Instant>>,
-    /// Notified when an outage ends.
     outage_ended: Notify,
 }
 
@@ -221,7 +220,6 @@ impl Link {
         }
     }
 
-    /// Records the outcome of a call for the outage log, and explains a failure.
     async fn record_outcome<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
         let answer = match answer {
             Ok(answer) => {
@@ -256,7 +254,6 @@ impl Link {
         self.state.has_answered.load(Ordering::Relaxed)
     }
 
-    /// Logs the start and the end of an outage once each.
     fn log_outage<T>(&self, answer: &Result<T, Failed>) {
         let url = &self.state.url;
         let mut outage = self.lock_outage();

@@ -34,7 +34,6 @@ pub(crate) struct SlotProcess {
     commands: mpsc::Sender<SlotCommand>,
     kill: Arc<Notify>,
     pub(crate) key: ProcessKey,
-    /// Id of the task that owns the process.
     pub(crate) task: task::Id,
 }
 
@@ -116,7 +115,6 @@ async fn run_process(
     rollout.into_inner().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Rollout of a process that has not reported its end.
 type Unfinished = Mutex<Option<Box<Assignment>>>;
 
 fn set(unfinished: &Unfinished, rollout: Option<Box<Assignment>>) {

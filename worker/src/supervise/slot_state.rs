@@ -35,7 +35,6 @@ pub(crate) enum Mode {
     },
 }
 
-/// State of a slot's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ProcessState {
     /// No process is running.
@@ -55,12 +54,13 @@ pub(crate) enum ProcessState {
 
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
-    /// The slot is idle.
     Nothing,
     /// A job is being claimed from the coordinator.
     Claiming,
     /// The files of the job's task are being fetched.
-    Preparing { attempt: AttemptId },
+    Preparing {
+        attempt: AttemptId,
+    },
     /// A rollout is being simulated.
     Running {
         attempt: AttemptId,
@@ -72,7 +72,6 @@ pub(crate) enum Work {
     /// The rollout made no progress and its process was killed.
     Stuck {
         attempt: AttemptId,
-        /// Control steps so far, including settling.
         control_steps: u32,
     },
     /// The lease was lost; the process has been asked to abandon the rollout.
@@ -84,7 +83,6 @@ pub(crate) enum Work {
     /// The end of the rollout is being reported to the coordinator.
     Delivering {
         attempt: AttemptId,
-        /// Control steps so far, including settling.
         control_steps: u32,
     },
 }
@@ -96,7 +94,6 @@ pub(crate) enum Video {
     None,
     /// The slot's process makes the video, and does no other work meanwhile.
     Filming {
-        /// Attempt that the video shows.
         attempt: AttemptId,
         /// Frames of the video so far.
         pictures: u32,
@@ -106,10 +103,7 @@ pub(crate) enum Video {
         result: ResultState,
     },
     /// The video is finished, and its result is still being delivered.
-    Made {
-        /// Attempt that the video shows.
-        attempt: AttemptId,
-    },
+    Made { attempt: AttemptId },
 }
 
 /// State of a filmed rollout's result.
@@ -121,7 +115,6 @@ pub(crate) enum ResultState {
     Unwanted,
 }
 
-/// Next action on a video.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum VideoDecision {
     Upload(AttemptId),
@@ -147,7 +140,6 @@ pub(crate) struct SlotState {
     restarts: Backoff,
 }
 
-/// Next action on a slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Decision {
     Start,
@@ -155,14 +147,11 @@ pub(crate) enum Decision {
     Kill(Kill),
 }
 
-/// Reason why a process is killed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kill {
     /// The process did not become ready in time.
     NotReady,
-    /// The rollout makes no progress.
     Stuck,
-    /// The video makes no progress.
     StuckFilming,
     /// The process did not abandon its rollout in time.
     NotAbandoned,
@@ -233,14 +222,12 @@ impl SlotState {
         self.video != Video::None
     }
 
-    /// Records that the process accepts commands.
     pub(crate) fn became_ready(&mut self) {
         if matches!(self.process, ProcessState::Starting { .. }) {
             self.process = ProcessState::Up;
         }
     }
 
-    /// Records the progress of an attempt's rollout.
     pub(crate) fn advanced(&mut self, id: AttemptId, steps: u32, now: Instant) {
         if let Work::Running { attempt, control_steps, progressed_at } = &mut self.work
             && *attempt == id
@@ -251,7 +238,6 @@ impl SlotState {
         }
     }
 
-    /// Records the progress of an attempt's video.
     pub(crate) fn filming_advanced(&mut self, id: AttemptId, frames: u32, now: Instant) {
         if let Video::Filming { attempt, pictures, progressed_at, .. } = &mut self.video
             && *attempt == id
@@ -262,7 +248,6 @@ impl SlotState {
         }
     }
 
-    /// Records that the process was killed.
     pub(crate) fn killed(&mut self, reason: Kill) {
         self.process = ProcessState::Dying;
         if let (Kill::Stuck, &Work::Running { attempt, control_steps, .. }) = (reason, &self.work) {

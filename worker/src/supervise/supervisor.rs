@@ -40,7 +40,6 @@ const STARTS_AT_ONCE: usize = 8;
 /// Longest wait for slots' processes to end by themselves.
 const END_DEADLINE: Duration = Duration::from_secs(5);
 
-/// A slot, its process and its job.
 #[derive(Debug)]
 struct Slot {
     state: SlotState,
@@ -50,7 +49,6 @@ struct Slot {
     /// Assignment of the current job, or else of the last one. Claims name its task, whose scene
     /// the slot's process has usually compiled.
     assignment: Option<Assignment>,
-    /// Campaign of `assignment`.
     campaign: String,
     /// Assignment whose files are being fetched, with its campaign.
     preparing: Option<(Assignment, String)>,
@@ -429,7 +427,6 @@ impl Supervisor {
         }
     }
 
-    /// Returns the path at which a slot writes a video.
     fn video_file(&self, attempt: AttemptId) -> PathBuf {
         self.config.scratch.join(format!("{attempt}.mp4"))
     }
@@ -453,7 +450,6 @@ impl Supervisor {
         }
     }
 
-    /// Describes in a sentence how a rollout was lost.
     fn explain_loss(&self, kind: FailureKind, end: &str) -> String {
         let host = &self.config.identity.host;
         if kind == FailureKind::SlotStuck {

@@ -13,7 +13,6 @@ use transport::chain;
 
 use super::link::Link;
 
-/// Videos that are sent in parallel.
 const UPLOADS_AT_A_TIME: usize = 3;
 /// Longest wait for a video's upload, including its time in the queue.
 const UPLOAD_TIMEOUT: Duration = Duration::from_secs(120);

@@ -228,7 +228,6 @@ fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
     (!is_composable).then(|| Lack::Further(Further::Assets(entry.assets())))
 }
 
-/// Initial states of a task.
 #[derive(Clone, Debug)]
 struct States {
     path: String,

@@ -16,9 +16,7 @@ use super::error::VariantsError;
 
 /// A rollout of LIBERO's family or of a suite file, ready to run.
 pub struct Prepared {
-    /// The task's files.
     pub files: TaskFiles,
-    /// Initial conditions.
     pub start: VariantStart,
     /// Manifest row, with the prompt as its instruction.
     pub row: ManifestRow,

@@ -16,22 +16,8 @@ pub enum VariantsError {
     /// A task file is missing or wrong.
     #[error(transparent)]
     Task(#[from] SceneError),
-    /// The suite file is invalid.
     #[error("use {}", path.display())]
-    SuiteFile {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error that names the field and the remedy.
-        #[source]
-        source: SuiteFileError,
-    },
-    /// A file cannot be read.
+    SuiteFile { path: PathBuf, source: SuiteFileError },
     #[error("use {}: check its path and permissions", path.display())]
-    File {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        #[source]
-        source: io::Error,
-    },
+    File { path: PathBuf, source: io::Error },
 }

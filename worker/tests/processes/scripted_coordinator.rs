@@ -37,7 +37,6 @@ pub(crate) enum WorkerMessage {
     Released(Box<ReleaseRequest>),
 }
 
-/// A result as the worker sent it.
 pub(crate) struct Commit {
     pub(crate) attempt_id: String,
     pub(crate) result: RolloutResult,
@@ -122,7 +121,6 @@ impl ScriptedCoordinator {
         Self::with_times(Duration::from_millis(100), progress_timeout).await
     }
 
-    /// Starts a coordinator with this heartbeat interval and progress timeout.
     pub(crate) async fn with_times(heartbeat: Duration, progress_timeout: Duration) -> Self {
         let service = Service {
             heartbeat,
@@ -140,17 +138,14 @@ impl ScriptedCoordinator {
         format!("http://{}", self.address)
     }
 
-    /// Appends a lease to be granted.
     pub(crate) fn lease(&self, lease: Lease) {
         self.change(|state| state.leases.push_back(lease));
     }
 
-    /// Appends a film to be made.
     pub(crate) fn film(&self, film: Film) {
         self.change(|state| state.films.push_back(film));
     }
 
-    /// Reports the lease of this job's attempt as lost from now on.
     pub(crate) fn lose_lease(&self, job: i64) {
         self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
@@ -165,7 +160,6 @@ impl ScriptedCoordinator {
         self.change(|state| state.answers_to_lose += 1);
     }
 
-    /// Fails to store videos from now on.
     pub(crate) fn refuse_artifacts(&self) {
         self.change(|state| state.refuses_artifacts = true);
     }
@@ -231,7 +225,6 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Returns the heartbeats received so far.
     pub(crate) fn heartbeats(&self) -> Vec<HeartbeatRequest> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").heartbeats.clone()
@@ -247,13 +240,11 @@ impl ScriptedCoordinator {
         self.service.state.lock().expect("unpoisoned").messages.clone()
     }
 
-    /// Returns the ids of the workers that signed off.
     pub(crate) fn signed_off(&self) -> Vec<String> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").signed_off.clone()
     }
 
-    /// Returns the worker's requests for work.
     pub(crate) fn claims(&self) -> Vec<ClaimRequest> {
         let state = self.service.state.lock();
         state.expect("unpoisoned").claims.clone()

@@ -62,7 +62,6 @@ struct Service {
     received: Arc<Mutex<ReceivedRequests>>,
 }
 
-/// Returns an answer of this number of values, as actions of this width.
 fn answer(numbers: usize, action_width: u32) -> InferResponse {
     InferResponse { actions: vec![0.0; numbers], action_width }
 }

@@ -53,13 +53,11 @@ impl WorkerProcess {
         Self::start_command(program().args(connect).args(arguments))
     }
 
-    /// Starts the program from a prepared command.
     pub(crate) fn start_command(program: &mut Command) -> Self {
         let child = program.stderr(Stdio::piped()).stdout(Stdio::piped()).spawn().expect("starts");
         Self { child }
     }
 
-    /// Returns the process ids of the slots.
     pub(crate) fn slots(&self) -> Vec<u32> {
         let pid = self.child.id();
         let children = fs::read_to_string(format!("/proc/{pid}/task/{pid}/children"));
@@ -71,7 +69,6 @@ impl WorkerProcess {
         signal(self.child.id(), name);
     }
 
-    /// Asks the process to end and returns its output once it has succeeded.
     pub(crate) fn terminated(self) -> String {
         self.signal("TERM");
         self.ended()

@@ -63,7 +63,6 @@ pub(super) fn describe(file: &Path) -> Result<()> {
     Ok(())
 }
 
-/// Returns the SHA-256 of a file in hexadecimal digits.
 pub(crate) fn digest(path: &Path) -> Result<String> {
     let line = capture(Command::new("sha256sum").arg(path))?;
     let digest = line.trim_start_matches('\\').split(' ').next().unwrap_or_default();

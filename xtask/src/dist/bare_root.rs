@@ -26,7 +26,6 @@ pub(super) const DATA: &str = "/data";
 const ENTER: &str = "mount --rbind /proc \"$0/proc\" && mount --rbind /dev \"$0/dev\" && \
                      exec chroot \"$@\"";
 
-/// Root folder that programs enter with `chroot`.
 pub(super) struct BareRoot {
     dir: PathBuf,
     /// True if this process runs as root; otherwise entering the folder requires a user namespace.
@@ -34,7 +33,6 @@ pub(super) struct BareRoot {
 }
 
 impl BareRoot {
-    /// Creates the root in a folder, with the archive unpacked.
     pub(super) fn make(dir: &Path, archive: &Archive) -> Result<Self> {
         for folder in ["dev", "etc", "proc", "tmp", "opt"] {
             std::fs::create_dir_all(dir.join(folder))?;
@@ -73,7 +71,6 @@ impl BareRoot {
         &self.dir
     }
 
-    /// Creates the folder of the programs' user.
     pub(super) fn add_data(&self) -> Result<()> {
         let data = inside(&self.dir, Path::new(DATA));
         std::fs::create_dir_all(&data)?;
@@ -93,10 +90,7 @@ impl BareRoot {
 
     /// Returns `unshare`'s options for namespaces in which mounts and `chroot` are allowed.
     fn namespace_options(&self) -> &'static [&'static str] {
-        match self.is_root {
-            true => &["--mount"],
-            false => &["--user", "--map-root-user", "--mount"],
-        }
+        if self.is_root { &["--mount"] } else { &["--user", "--map-root-user", "--mount"] }
     }
 
     /// Returns the command that starts a program of the archive in the root folder; if this

@@ -19,14 +19,12 @@ use super::stage;
 const CAMPAIGN: [&str; 8] =
     ["--tasks", "libero_object/1", "--axes", "camera", "--levels", "L1", "--configs", "1"];
 
-/// Packs the programs that were built for the tests, and tests the archive.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let output = tempfile::tempdir().context("make a folder")?;
     let packed = archive::make(root, cache, programs, output.path())?;
     check_archive(root, &packed)
 }
 
-/// Tests an archive.
 pub(super) fn check_archive(root: &Path, archive: &Archive) -> Result<()> {
     println!("Testing {}", archive.file.display());
     let folder = tempfile::tempdir().context("make a folder")?;
@@ -60,7 +58,6 @@ fn verify_digests(unpacked: &Path) -> Result<String> {
     Ok(format!("{listed} files"))
 }
 
-/// Checks that the archive has manual pages and files for users.
 fn check_documents(unpacked: &Path) -> Result<&'static str> {
     for page in ["worker.1", "coordinator-campaign-create.1", "policy-gateway-check.1"] {
         let text = std::fs::read_to_string(unpacked.join("share/man/man1").join(page))?;
@@ -91,7 +88,6 @@ fn check_versions(root: &Path, bare: &BareRoot) -> Result<String> {
     Ok(expected)
 }
 
-/// Runs a campaign with all three programs of the archive.
 fn run_campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
     let start = |name: &str, arguments: &[&str]| {
         Running::start(name, bare.program(name).args(arguments), logs)

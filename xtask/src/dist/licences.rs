@@ -8,7 +8,6 @@ use crate::cargo::cargo;
 use crate::packages::WHEELS;
 use crate::process::capture;
 
-/// Checks that the collector is installed.
 pub(super) fn tool(root: &Path) -> Result<()> {
     capture(cargo(root).args(["about", "--version"]))
         .map(drop)

@@ -8,7 +8,6 @@ use crate::process::capture;
 /// Programs of a release, all of which run with nothing but glibc installed.
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "policy-gateway", "worker"];
 
-/// Version of the workspace.
 pub(crate) const VERSION: &str = env!("CARGO_PKG_VERSION");
 
 /// Returns the commit's time in seconds since 1970. It is the modification time of all files in the

@@ -32,13 +32,11 @@ pub(super) const FOR_USERS: &str = "share/rollout";
 /// Staged folder, and what its programs need from the machine.
 pub(crate) struct Staged {
     pub(crate) folder: PathBuf,
-    /// The oldest glibc.
     pub(crate) glibc: (u32, u32),
     /// Libraries, other than glibc's.
     pub(crate) libraries: BTreeSet<String>,
 }
 
-/// Fills the folder with all parts of the release.
 pub(crate) fn fill(root: &Path, cache: &Path, programs: &Path, folder: &Path) -> Result<Staged> {
     let elf = Elf::provide(cache)?;
     let staged = step("programs, libraries", || install(cache, programs, folder, &elf))?;
@@ -159,10 +157,7 @@ pub(super) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
         for entry in entries.with_context(|| format!("read {}", path.display()))? {
             let entry = entry?;
             let relative = relative.join(entry.file_name());
-            match entry.file_type()?.is_dir() {
-                true => pending.push(relative),
-                false => found.push(relative),
-            }
+            if entry.file_type()?.is_dir() { pending.push(relative) } else { found.push(relative) }
         }
     }
     found.sort();

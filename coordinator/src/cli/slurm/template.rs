@@ -58,7 +58,6 @@ fn placeholders(line: &str) -> Vec<&str> {
     parts.filter_map(|part| part.split_once("}}").map(|(name, _)| name)).collect()
 }
 
-/// Replaces each placeholder of a line by `value(name)`.
 fn fill_line(line: &str, value: &dyn Fn(&str) -> String) -> String {
     let mut parts = line.split("{{");
     let mut filled = parts.next().unwrap_or_default().to_owned();
@@ -76,10 +75,7 @@ fn fill_line(line: &str, value: &dyn Fn(&str) -> String) -> String {
 
 /// Quotes a value as one word of the shell.
 pub(super) fn for_shell(value: &str) -> String {
-    match is_plain(value) {
-        true => value.to_owned(),
-        false => format!("'{}'", value.replace('\'', r"'\''")),
-    }
+    if is_plain(value) { value.to_owned() } else { format!("'{}'", value.replace('\'', r"'\''")) }
 }
 
 /// Quotes a value as one word of an `#SBATCH` line, where a backslash escapes the next character,

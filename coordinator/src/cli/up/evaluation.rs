@@ -116,7 +116,6 @@ impl Evaluation {
     }
 }
 
-/// Checks a policy through the gateway with `policy-gateway check`, which prints its findings.
 async fn check(policy: &str, gateway: &str) -> anyhow::Result<()> {
     let mut check = Command::new(sibling("policy-gateway")?);
     check.args(["check", &format!("grpc://{gateway}/{policy}")]).kill_on_drop(true);

@@ -223,7 +223,6 @@ async fn check_results(folder: &Path, accepted: usize) {
     pool.close().await;
 }
 
-/// The `number`th claim of a worker.
 fn claim_of(worker: usize, number: usize, warm: Option<usize>) -> ClaimRequest {
     ClaimRequest {
         worker: worker_info(worker).id,

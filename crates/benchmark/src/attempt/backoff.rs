@@ -44,14 +44,12 @@ impl Backoff {
         self.failures
     }
 
-    /// Counts a failure and returns the back-off after it.
     pub fn next_wait(&mut self) -> Duration {
         self.failures = self.failures.saturating_add(1);
         let random = (self.draw() >> 32) as u32;
         self.waits.after(self.failures, random)
     }
 
-    /// Resets the count after a success.
     pub fn reset(&mut self) {
         self.failures = 0;
     }

@@ -43,7 +43,6 @@ pub struct Pin {
     pub asset_pack: String,
     /// SHA-256 of the asset pack, hex.
     pub asset_pack_digest: String,
-    /// Version of the simulator.
     pub mujoco_version: String,
     pub renderer: String,
     pub look: Look,
@@ -53,7 +52,6 @@ pub struct Pin {
 #[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Provenance {
-    /// Name of the machine.
     pub host: String,
     /// The worker's asset pack, simulator, renderer and look.
     #[serde(flatten)]
@@ -64,7 +62,6 @@ pub struct Provenance {
     /// Realisation, as [`crate::Realisation`] names it.
     pub realisation: String,
     pub policy_name: String,
-    /// Checkpoint of the policy, as its publisher names it.
     pub policy_checkpoint: String,
     /// Digest of the weights, as the policy reports it.
     pub policy_checkpoint_digest: String,
@@ -86,7 +83,6 @@ pub struct Provenance {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Digests {
-    /// Digest of the composed MJCF.
     pub scene: String,
     /// Digest of the initial state's bytes, before any perturbation.
     pub init_state: String,

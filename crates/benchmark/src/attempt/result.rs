@@ -147,7 +147,6 @@ pub struct Parts {
     pub policy_secs: f64,
 }
 
-/// Residual of the inverse kinematics.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct IkResidual {
@@ -179,7 +178,6 @@ impl Motion {
         }
     }
 
-    /// Unpacks the positions.
     pub fn path(&self) -> Vec<[i16; 3]> {
         let numbers = self.path.as_chunks().0.iter();
         let numbers: Vec<i16> = numbers.map(|number| i16::from_le_bytes(*number)).collect();

@@ -44,7 +44,6 @@ impl Kind {
         }
     }
 
-    /// Describes the pictures that [`Corruption::check`] accepts, for messages.
     const fn supported_pictures(self) -> &'static str {
         match self {
             Self::Motion | Self::Gaussian | Self::Glass => "pictures of one pixel or more",

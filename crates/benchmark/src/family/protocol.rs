@@ -10,7 +10,6 @@ use crate::{Suite, UnknownName};
 use crate::family::plus::Prompt;
 use crate::family::selection::SelectionError;
 
-/// Settings with which a harness runs a benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Protocol {
     pub name: &'static str,

@@ -50,17 +50,13 @@ impl Selection {
         }
     }
 
-    /// Returns the selected rollouts, in the benchmark's order.
     pub fn cases(&self) -> Result<Vec<Case>, SelectionError> {
         let cases = match self {
             Self::Plus(filters) => filters.cases()?,
             Self::Pro(filters) => filters.cases(),
             Self::Para(filters) => filters.cases(),
         };
-        match cases.is_empty() {
-            true => Err(SelectionError::Nothing),
-            false => Ok(cases),
-        }
+        if cases.is_empty() { Err(SelectionError::Nothing) } else { Ok(cases) }
     }
 
     /// Returns the rows of a campaign: the unperturbed rollouts, followed by the variants in the
@@ -113,7 +109,6 @@ impl Selection {
     }
 }
 
-/// Returns the rows of a benchmark's first trials, under its official protocol.
 pub fn rows_of_all(benchmark: Benchmark) -> Vec<ManifestRow> {
     let cases = match benchmark {
         Benchmark::Plus => PlusFilters::default().cases().expect("no variant is named"),

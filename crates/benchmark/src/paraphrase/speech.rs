@@ -27,10 +27,7 @@ impl<'r> Renderer<'r> {
             let (mark, after) = mark
                 .split_once(if is_verb { '>' } else { '}' })
                 .unwrap_or_else(|| panic!("unclosed mark in `{template}`"));
-            text.push_str(&match is_verb {
-                true => self.verb(mark, form),
-                false => self.name(mark, form),
-            });
+            text.push_str(&if is_verb { self.verb(mark, form) } else { self.name(mark, form) });
             rest = after;
         }
         text + rest

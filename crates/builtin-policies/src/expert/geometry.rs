@@ -38,7 +38,6 @@ impl Vec3 {
         self.dot(self).sqrt()
     }
 
-    /// Length of the horizontal projection.
     pub(crate) fn horizontal_norm(self) -> f64 {
         self.x.hypot(self.y)
     }
@@ -92,7 +91,6 @@ pub(crate) struct Quat {
 impl Quat {
     pub(crate) const IDENTITY: Self = Self { w: 1.0, v: Vec3::new(0.0, 0.0, 0.0) };
 
-    /// Returns the rotation by `angle` about the unit vector `axis`.
     pub(crate) fn turn(axis: Vec3, angle: f64) -> Self {
         Self { w: (angle / 2.0).cos(), v: axis * (angle / 2.0).sin() }
     }

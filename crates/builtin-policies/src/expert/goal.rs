@@ -12,6 +12,14 @@ use crate::expert::routine::{self, Routine, RoutineTask};
 use crate::expert::transfer::Transfer;
 use crate::expert::world::{World, drawer_joint};
 
+/// Distance by which the hand backs out from a handle before moving elsewhere, m.
+const CLEAR_OF_HANDLE_M: f64 = 0.08;
+/// Distance from the grip point to the box of an object within which the object may be
+/// between the fingers, m.
+const BETWEEN_FINGERS_M: f64 = 0.005;
+/// The same for fingers that are opening, from which the object has already fallen a little, m.
+const BETWEEN_OPENING_FINGERS_M: f64 = 0.03;
+
 #[derive(Clone, Debug)]
 pub(crate) enum Skill {
     Transfer(Box<Transfer>),
@@ -46,26 +54,17 @@ impl Skill {
             },
             Self::LetGo => return false,
         };
-        let mut at_grip = world.objects_at_grip(BETWEEN_M);
+        let mut at_grip = world.objects_at_grip(BETWEEN_FINGERS_M);
         at_grip.any(|object_at_grip| object_at_grip.name == object)
     }
 }
-
-/// Distance by which the hand backs out from a handle before moving elsewhere, m.
-const CLEAR_OF_HANDLE_M: f64 = 0.08;
-/// Distance from the grip point to the box of an object within which the object may be
-/// between the fingers, m.
-const BETWEEN_M: f64 = 0.005;
-/// The same for fingers that are opening, m.
-const FALLEN_M: f64 = 0.03;
 
 /// Returns the command that opens the fingers and backs the hand out from a handle; `None` if the
 /// hand is free.
 fn let_go(world: &World, motion: &Motion) -> Option<Command> {
     let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
     let is_open = world.opening > FINGERS_OPEN_M;
-    // Fingers that have begun to open continue, although the object has already fallen a little.
-    let between = if motion.opens() { FALLEN_M } else { BETWEEN_M };
+    let between = if motion.opens() { BETWEEN_OPENING_FINGERS_M } else { BETWEEN_FINGERS_M };
     let has_object_at_grip = world.objects_at_grip(between).next().is_some();
     let way_out = match (is_open, handle) {
         (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
@@ -83,7 +82,6 @@ fn let_go(world: &World, motion: &Motion) -> Option<Command> {
 #[derive(Clone, Copy)]
 struct Takeover<'a> {
     motion: &'a Motion,
-    /// The previous plan.
     earlier: &'a VecDeque<Skill>,
 }
 
@@ -281,10 +279,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
         Ok((rest - other.pos).horizontal_norm())
     };
     let opposite = -place.slot;
-    Ok(match clearance(opposite)? > clearance(place.slot)? {
-        true => opposite,
-        false => place.slot,
-    })
+    Ok(if clearance(opposite)? > clearance(place.slot)? { opposite } else { place.slot })
 }
 
 fn transfer(

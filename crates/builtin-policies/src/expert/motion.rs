@@ -118,10 +118,7 @@ pub(crate) fn pointing_down(angle: f64) -> Quat {
 pub(crate) fn pointing_down_like(world: &World, angle: f64) -> Quat {
     let quat = pointing_down(angle);
     let turn = quat.after(world.grip_quat.inverse()).rotation_vector();
-    match turn.norm() > PI - SYMMETRIC_RAD {
-        true => Quat::turn(Vec3::UP, PI).after(quat),
-        false => quat,
-    }
+    if turn.norm() > PI - SYMMETRIC_RAD { Quat::turn(Vec3::UP, PI).after(quat) } else { quat }
 }
 
 /// Tilts `quat`, the orientation of a hand that points down, by `angle` so that the fingers
@@ -174,7 +171,6 @@ pub(crate) enum HandLoad<'a> {
     Empty(f64),
     /// The hand moves to grasp this object, which is not an obstacle.
     For(&'a Entity),
-    /// The hand holds this object.
     With(&'a Entity),
 }
 

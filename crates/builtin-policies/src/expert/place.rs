@@ -129,7 +129,6 @@ impl Place {
         Ok(if target.is_region() { &target.category } else { &target.name })
     }
 
-    /// Requirement of the place on the grasp.
     pub(crate) fn grasp_requirement(&self, world: &World) -> Result<GraspRequirement, ExpertError> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {

@@ -213,10 +213,7 @@ impl RoutineTask {
                 let widest = entity.half.x.max(entity.half.y);
                 let aside = (world.grip - entity.centre).horizontal_norm();
                 let is_pressing = world.grip.z < to.pos.z + PRESSING_M && aside < widest;
-                match is_pressing {
-                    true => 2,
-                    false => u32::from(is_on_the_way),
-                }
+                if is_pressing { 2 } else { u32::from(is_on_the_way) }
             }
         })
     }
@@ -245,9 +242,6 @@ pub(crate) fn knob_is_on(position: f64) -> bool {
 }
 
 /// Returns true if the hand is at a stove's knob, or leaves it.
-///
-/// # Errors
-/// If the scene lacks the stove or its joint.
 pub(crate) fn is_at_knob(world: &World, stove: &str) -> Result<bool, ExpertError> {
     let Some(leaving) = turn_knob(5, world, stove)? else { return Ok(false) };
     let from = world.grip - leaving.hand.pos;

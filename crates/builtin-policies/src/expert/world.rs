@@ -92,7 +92,6 @@ const LARGEST_OF_UNIT: f64 = 1.001;
 const MAX_ENTITIES: usize = 1_000;
 
 impl World {
-    /// Converts and validates a state.
     pub(crate) fn read(state: &Privileged) -> Result<Self, ExpertError> {
         if state.entities.len() > MAX_ENTITIES {
             return Err(ExpertError::Entities { given: state.entities.len(), most: MAX_ENTITIES });
@@ -129,7 +128,6 @@ impl World {
         Ok(world)
     }
 
-    /// Returns the entity named `name`.
     pub(crate) fn entity(&self, name: &str) -> Result<&Entity, ExpertError> {
         let found = self.entities.iter().find(|e| e.name == name);
         found.ok_or_else(|| ExpertError::NoEntity { name: name.to_owned() })

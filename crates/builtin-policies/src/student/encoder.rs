@@ -120,7 +120,7 @@ impl Encoder {
 
     /// Locates the points in the last features and, if `self.fine` is present, in the first
     /// block's planes too; `scores` is scratch memory.
-    fn locate(&self, [features, fine]: [&[f32]; 2], scores: &mut Vec<f32>, located: &mut [f32]) {
+    fn locate(&self, [features, first]: [&[f32]; 2], scores: &mut Vec<f32>, located: &mut [f32]) {
         let places = features.len() / FEATURES;
         scores.clear();
         for bias in &self.points_bias {
@@ -131,15 +131,13 @@ impl Encoder {
             input: 0,
             place: 0,
         };
-        let features = all_rows(features, FEATURES, places);
-        self.points.add(features, scores);
-        let Some(convolution) = &self.fine else {
+        self.points.add(all_rows(features, FEATURES, places), scores);
+        let Some(fine) = &self.fine else {
             return points::locate::<{ points::SIDE }>(scores, located);
         };
         let mut enlarged = points::enlarged(scores);
         let channels = BLOCKS[0].outputs;
-        let fine = all_rows(fine, channels, fine.len() / channels);
-        convolution.add(fine, &mut enlarged);
+        fine.add(all_rows(first, channels, first.len() / channels), &mut enlarged);
         points::locate::<{ 2 * points::SIDE }>(&enlarged, located);
     }
 }

@@ -7,7 +7,6 @@ use crate::student::query::{ACTIONS, ARM, Chunk, Output, Query, STATE};
 use crate::student::text;
 use crate::student::weights::Tensors;
 
-/// Width of the text embedding.
 const TEXT: usize = 128;
 const STATE_WIDTH: usize = 64;
 /// Width of the head's input: both cameras, the robot's state and the instruction.
@@ -120,7 +119,6 @@ impl Network {
         }
     }
 
-    /// Computes the input of the head: a row per query.
     fn head_inputs(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let texts = self.texts(queries);
         let states = self.states(queries);

@@ -2,7 +2,7 @@
 
 /// Number of channels that locate a point.
 pub(crate) const POINTS: usize = 64;
-/// Side of the planes of the last features.
+/// Side of the planes of the last features, which [`enlarged`] doubles.
 pub(crate) const SIDE: usize = 16;
 
 /// Writes the expected column and row, from -1 to 1, and the highest score of each channel of

@@ -26,10 +26,7 @@ pub(crate) fn add(a: Matrix<'_>, b: Matrix<'_>, c: &mut MatrixMut<'_>) {
     let is_fused = std::arch::is_aarch64_feature_detected!("neon");
     #[cfg(not(any(target_arch = "x86_64", target_arch = "aarch64")))]
     let is_fused = false;
-    match is_fused {
-        true => add_with_library(a, b, c),
-        false => add_plainly(a, b, c),
-    }
+    if is_fused { add_with_library(a, b, c) } else { add_plainly(a, b, c) }
 }
 
 #[derive(Debug, Clone, Copy)]

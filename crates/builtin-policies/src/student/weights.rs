@@ -26,7 +26,6 @@ pub(crate) struct Tensors<'a> {
 }
 
 impl<'a> Tensors<'a> {
-    /// Parses the header of the file and checks its format.
     pub(crate) fn open(bytes: &'a [u8]) -> Result<Self, WeightsError> {
         let unreadable = |_| WeightsError::Unreadable { bytes: bytes.len() };
         let (_, header) = SafeTensors::read_metadata(bytes).map_err(unreadable)?;

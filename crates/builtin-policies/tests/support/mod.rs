@@ -1,7 +1,8 @@
-//! Random weights and queries from a seed, with the same bits on every machine.
+//! Random weights and queries from a seed, with the same bits on every machine, for tests and the
+//! example `speed`.
 
 // Each test program uses only a part of this module.
-#![allow(dead_code, missing_docs, unreachable_pub)]
+#![allow(dead_code, unreachable_pub)]
 
 use std::collections::{BTreeMap, HashMap};
 

@@ -5,7 +5,6 @@
 pub enum Decision<R> {
     /// Run this batch; it is not empty.
     Run(Vec<R>),
-    /// Wait for outcomes.
     Wait,
     /// The configuration has nothing to search for, or no rollout is left to run.
     Done,
@@ -14,9 +13,6 @@ pub enum Decision<R> {
 impl<R> Decision<R> {
     /// Returns the decision to run a batch, or [`Self::Done`] if the batch is empty.
     pub(crate) fn run(batch: Vec<R>) -> Self {
-        match batch.is_empty() {
-            true => Self::Done,
-            false => Self::Run(batch),
-        }
+        if batch.is_empty() { Self::Done } else { Self::Run(batch) }
     }
 }

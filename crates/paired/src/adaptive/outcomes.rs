@@ -56,7 +56,6 @@ impl Tally {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcomes<P>(BTreeMap<P, Tallies>);
 
-/// Tallies of one point.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Tallies {
     source: Tally,
@@ -70,7 +69,6 @@ impl<P> Default for Outcomes<P> {
 }
 
 impl<P: Copy + Ord> Outcomes<P> {
-    /// Adds a rollout of the source campaign.
     pub fn record_source(&mut self, point: P, outcome: Outcome) {
         self.0.entry(point).or_default().source.add(outcome);
     }
@@ -84,7 +82,6 @@ impl<P: Copy + Ord> Outcomes<P> {
         self.0.get(&point).copied().unwrap_or_default()
     }
 
-    /// Returns the tally of the source campaign's rollouts at a point.
     pub fn source(&self, point: P) -> Tally {
         self.tallies(point).source
     }
@@ -93,7 +90,6 @@ impl<P: Copy + Ord> Outcomes<P> {
         self.tallies(point).requests
     }
 
-    /// Returns the tally of both campaigns' rollouts at a point.
     pub fn both(&self, point: P) -> Tally {
         let Tallies { source, requests } = self.tallies(point);
         Tally {

@@ -15,7 +15,6 @@ use crate::outcomes::{Count, Matched};
 /// Number of random permutations; the smallest p-value is 1 / (`PERMUTATIONS` + 1).
 const PERMUTATIONS: u32 = 1999;
 
-/// Simultaneous success by direction.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DirectionTest {
     /// Simultaneous success under each direction, over all tasks. The key is the number that the
@@ -102,7 +101,6 @@ impl DirectionTest {
         Some(Self { rates, p })
     }
 
-    /// Returns the lowest and the highest rate.
     pub fn range(&self) -> [f64; 2] {
         let rates = self.rates.values().copied();
         [rates.clone().fold(f64::INFINITY, f64::min), rates.fold(f64::NEG_INFINITY, f64::max)]

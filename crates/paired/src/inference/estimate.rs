@@ -89,7 +89,6 @@ impl Estimate {
         })
     }
 
-    /// Returns the estimate of the negated value.
     pub(crate) fn negated(&self) -> Self {
         let flip = |interval: Option<Interval>| interval.map(|[low, high]| [-high, -low]);
         Self {
@@ -145,10 +144,7 @@ fn wilson(p: f64, Variance { value: variance, df }: Variance, units: f64) -> Opt
     if variance <= NO_VARIANCE && !is_extreme {
         return None;
     }
-    let n = match is_extreme {
-        true => units,
-        false => p * (1.0 - p) / variance,
-    };
+    let n = if is_extreme { units } else { p * (1.0 - p) / variance };
     let centre = (p + t2 / (2.0 * n)) / (1.0 + t2 / n);
     let half = (t2 * (p * (1.0 - p) / n + t2 / (4.0 * n * n))).sqrt() / (1.0 + t2 / n);
     Some([(centre - half).max(0.0), (centre + half).min(1.0)])

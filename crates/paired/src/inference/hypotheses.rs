@@ -51,10 +51,7 @@ pub fn max_t(pseudo_values: &[Vec<f64>], strata: &[usize], bootstrap: &Bootstrap
                 (0..tasks).map(|_| if rng.next_u32() & 1 == 1 { 1.0 } else { -1.0 }).collect();
             let t_values = statistics.iter().map(|values| {
                 let (sum, variance) = under_signs(values, &signs, strata);
-                match variance > 0.0 {
-                    true => sum.abs() / variance.sqrt(),
-                    false => f64::INFINITY,
-                }
+                if variance > 0.0 { sum.abs() / variance.sqrt() } else { f64::INFINITY }
             });
             t_values.fold(0.0, f64::max)
         })

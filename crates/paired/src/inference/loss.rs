@@ -11,7 +11,6 @@ use crate::inference::hypotheses::{equivalence_p, holm, sign_flip_p};
 use crate::inference::sample::{Row, Sample};
 use crate::outcomes::Matched;
 
-/// The loss under each condition.
 pub type Losses = BTreeMap<Condition, Loss>;
 
 /// Nominal success minus success under a condition, over the configurations with a nominal outcome

@@ -87,7 +87,6 @@ fn row(matched: &Matched, configuration: &Configuration) -> Row {
     Row { task: matched.task, direction: matched.config, values }
 }
 
-/// Returns a row for each complete configuration.
 fn complete_rows(matched: &[Matched]) -> Vec<Row> {
     let rows = matched.iter();
     rows.filter_map(|matched| Some(row(matched, &matched.configuration()?))).collect()
@@ -158,7 +157,6 @@ impl Relative {
     }
 }
 
-/// Returns the sign-flip p-value of I, with tasks as clusters.
 pub(crate) fn i_sign_flip_p(matched: &[Matched]) -> f64 {
     let mut net: BTreeMap<TaskRef, i64> = BTreeMap::new();
     for configuration in matched.iter().filter_map(Matched::configuration) {

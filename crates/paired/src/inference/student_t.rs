@@ -62,7 +62,6 @@ fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
     }
 }
 
-/// Returns the value of the continued fraction of [`incomplete_beta`].
 fn fraction(x: f64, a: f64, b: f64) -> f64 {
     let nonzero = |value: f64| {
         if value.abs() < f64::MIN_POSITIVE { f64::MIN_POSITIVE } else { value }

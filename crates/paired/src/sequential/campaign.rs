@@ -21,12 +21,10 @@ pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 pub struct CampaignLook {
     /// Configurations that the look rests on, in the drawn order.
     pub used: Vec<Unit>,
-    /// Number of configurations of the campaign.
     pub units: usize,
     pub levels: BTreeMap<Level, Look>,
 }
 
-/// Returns the order in which a campaign runs its configurations.
 pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<Unit> {
     match stop.strata {
         Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),
@@ -81,7 +79,6 @@ fn unit(id: RolloutId) -> Option<Unit> {
     Some((id.task(), id.config()?))
 }
 
-/// Returns the nominal rollout of a record's configuration.
 fn nominal(record: &Record) -> RolloutId {
     RolloutId::nominal(record.id.task(), record.init_id)
 }

@@ -33,7 +33,6 @@ pub(crate) struct EProcess {
     bets: Vec<Bet>,
 }
 
-/// E-values by candidate.
 pub(crate) struct EValues {
     /// Log e-values of each bet, from the least possible total to the greatest.
     logs: Vec<Vec<f64>>,
@@ -150,7 +149,6 @@ impl EProcess {
         stratum.sum[1] += value[1];
     }
 
-    /// Returns the e-values of all candidates.
     pub(crate) fn e_values(&self) -> EValues {
         EValues { logs: self.bets.iter().map(|bet| self.log_capital(bet)).collect() }
     }
@@ -331,7 +329,6 @@ mod tests {
         strata.iter().flatten().map(|(value, _)| value).sum()
     }
 
-    /// Returns the e-value of the true total after each round.
     fn true_e_values(strata: &Strata, sizes: &[usize], range: [i64; 2]) -> Vec<f64> {
         let mut process = EProcess::new(sizes, range);
         let mut least = sizes.iter().sum::<usize>() as i64 * range[0];

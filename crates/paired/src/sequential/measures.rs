@@ -159,7 +159,6 @@ pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
     }
 }
 
-/// Returns the least and greatest value of a measure over some transitions.
 pub(crate) fn values(measure: Measure, transitions: &[Transition]) -> [i64; 2] {
     let values = || {
         let transitions = transitions.iter();

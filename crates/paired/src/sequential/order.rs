@@ -62,17 +62,14 @@ impl<U: Ord> Order<U> {
         Self { rounds, sizes }
     }
 
-    /// Returns the rounds in the order in which they run.
     pub fn rounds(&self) -> &[Vec<Drawn<U>>] {
         &self.rounds
     }
 
-    /// Returns all units in the order in which they run.
     pub fn units(&self) -> impl Iterator<Item = &U> {
         self.rounds.iter().flatten().map(|drawn| &drawn.unit)
     }
 
-    /// Returns the number of units of each stratum.
     pub(crate) fn sizes(&self) -> &[usize] {
         &self.sizes
     }

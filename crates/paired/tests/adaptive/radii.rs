@@ -8,7 +8,6 @@ use benchmark::{RolloutId, Thresholds};
 use paired::adaptive::radii::Measurement;
 use paired::{Outcome, Record};
 
-/// Returns a specification of the thresholds of all conditions and configurations.
 fn thresholds(tolerance: f64, max_radius: f64) -> Thresholds {
     Thresholds {
         campaign: "first".to_owned(),

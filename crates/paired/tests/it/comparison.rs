@@ -14,7 +14,6 @@ use crate::{F, M, Q, S, task};
 const CAMERA: Condition = Condition::Single(Axis::Camera);
 const SENSOR: Condition = Condition::Single(Axis::Sensor);
 
-/// Returns a pair for each task, in the order of tasks.
 fn pairs(outcomes: &[(Outcome, Outcome)]) -> Vec<Pair> {
     let rows = outcomes.iter().enumerate();
     rows.map(|(index, &(a, b))| Pair { task: task(index), number: 0, a, b }).collect()

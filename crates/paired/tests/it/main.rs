@@ -29,7 +29,6 @@ fn task(index: usize) -> TaskRef {
     TaskRef::all().nth(index).expect("one of forty")
 }
 
-/// Returns the rollouts of a result file with their numbers of steps.
 fn rows(text: &str) -> impl Iterator<Item = (Record, Option<u32>)> {
     text.lines().map(|line| {
         let row: Value = serde_json::from_str(line).expect("a row");
@@ -47,7 +46,6 @@ fn records(text: &str) -> Vec<Record> {
     rows(text).map(|(record, _)| record).collect()
 }
 
-/// Returns the result file of an example.
 fn example(name: &str) -> String {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../examples");
     std::fs::read_to_string(root.join(name).join("rollouts.jsonl")).expect("the example")

@@ -21,7 +21,6 @@ const COMPARISONS: u64 = 20;
 /// Published rate in the gates of all campaigns, over all suites and for each suite.
 const PUBLISHED: f64 = 0.87;
 
-/// Returns the records and the progress of an example.
 fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
     let rows = crate::rows(&crate::example(name)).collect::<Vec<_>>().into_iter();
     let progress = |(record, steps): (Record, Option<u32>)| {

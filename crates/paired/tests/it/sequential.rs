@@ -57,12 +57,10 @@ impl Population {
         self.units[position.expect("a configuration")].1
     }
 
-    /// Iterates over the values of a measure, one per configuration.
     fn values(&self, measure: Measure) -> impl Iterator<Item = i64> {
         self.units.iter().map(move |(_, transition)| value(measure, *transition))
     }
 
-    /// Returns the total of a measure over all configurations.
     fn total(&self, measure: Measure) -> i64 {
         self.values(measure).sum()
     }
@@ -81,7 +79,6 @@ impl Population {
     }
 }
 
-/// Returns one configuration's value of a measure.
 fn value(measure: Measure, transition: Transition) -> i64 {
     use Transition::{Compensated, Emergent, StillFails, StillSucceeds};
     match (measure, transition) {
@@ -264,10 +261,7 @@ fn quarantined_rollouts_leave_every_possible_value_in_the_interval() {
         let mut known: Vec<Transition> = Vec::new();
         for unit in order.units() {
             let transition = [Transition::ALL[(unit.0 + unit.1) % 4]];
-            let possible = match unit == quarantined {
-                true => &Transition::ALL[..],
-                false => &transition,
-            };
+            let possible = if unit == quarantined { &Transition::ALL[..] } else { &transition };
             sequential.complete(possible);
             known.extend((unit != quarantined).then_some(transition[0]));
         }
@@ -321,7 +315,6 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
     }
 }
 
-/// Returns every way to replace quarantined rollouts by outcomes.
 fn fillings(outcomes: &[Outcome]) -> Vec<Vec<bool>> {
     let mut all = vec![Vec::new()];
     for outcome in outcomes {

@@ -1,20 +1,16 @@
 //! Back-end of the policies that run inside the gateway: one instance per session, queried in
 //! order if the policy is stateful.
 
-use std::{
-    fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
-};
+use std::fmt;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use proto::checks::ACTION_WIDTH;
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::task::JoinSet;
 
 use super::{BuiltinPolicy, Policy};
-use crate::{
-    backend::{Backend, BackendError},
-    sessions::{MAX_SESSIONS, SessionTable},
-};
+use crate::backend::{Backend, BackendError};
+use crate::sessions::{MAX_SESSIONS, SessionTable};
 
 pub(crate) struct BuiltinBackend {
     name: String,

@@ -2,7 +2,8 @@
 //! simulator's own state, so all its results are marked privileged.
 
 use benchmark::{Entity, EntityKind, Predicate, Privileged};
-use proto::policy::{self as wire, DescribeResponse, Language, Observation, entity::Kind};
+use proto::policy::entity::Kind;
+use proto::policy::{self as wire, DescribeResponse, Language, Observation};
 
 use super::{Action, BuiltinPolicy};
 

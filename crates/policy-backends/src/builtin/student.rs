@@ -1,13 +1,11 @@
 //! `builtin:student`: a small learned policy with both cameras and the instruction as inputs, for
 //! evaluations without a checkpoint or a GPU. The network is in `builtin_policies::student`.
 
-use std::{
-    convert::Infallible,
-    fmt,
-    path::{Path, PathBuf},
-    str::FromStr,
-    sync::{Arc, LazyLock},
-};
+use std::convert::Infallible;
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+use std::sync::{Arc, LazyLock};
 
 use benchmark::attempt::{TAUGHT_ON, TAUGHT_ON_LOOK};
 use builtin_policies::student::{ACTIONS, Network, PICTURE_SIDE, Query, WeightsError};
@@ -16,11 +14,10 @@ use proto::policy::{CameraRequest, DescribeResponse, Language, Observation, Sett
 use thiserror::Error;
 use transport::Access;
 
-use super::{Action, BuiltinPolicy, Policy, backend::BuiltinBackend};
-use crate::{
-    backend::Backend,
-    spec::{Kind, OwnError, Specified},
-};
+use super::backend::BuiltinBackend;
+use super::{Action, BuiltinPolicy, Policy};
+use crate::backend::Backend;
+use crate::spec::{Kind, OwnError, Specified};
 
 pub(crate) const KIND: Kind =
     Kind::new::<WeightsFile>(&["student"], "student:FILE (weights that training exported)");
@@ -52,7 +49,6 @@ impl Specified for WeightsFile {
 const STATE: [StateField; 3] =
     [StateField::EefPos, StateField::EefRotation, StateField::GripperPos];
 
-/// Weights that are compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
     /// Trained in unperturbed scenes of LIBERO's own assets.
@@ -193,7 +189,6 @@ fn picture(observation: &Observation, index: usize) -> Result<&[u8], String> {
     })
 }
 
-/// Returns the reading at an index of [`STATE`].
 fn reading<const N: usize>(observation: &Observation, index: usize) -> Result<[f64; N], String> {
     let found = observation.state.get(index);
     let values = found.and_then(|reading| reading.values.as_slice().try_into().ok());

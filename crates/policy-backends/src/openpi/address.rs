@@ -1,6 +1,7 @@
 //! Address of an openpi server, as written in a route, with the settings of its inputs.
 
-use std::{fmt, str::FromStr};
+use std::fmt;
+use std::str::FromStr;
 
 use proto::policy::StateField;
 use thiserror::Error;

@@ -67,7 +67,8 @@ pub enum AnswerError {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{numpy::map, observations::rotated};
+    use crate::numpy::map;
+    use crate::observations::rotated;
     use proptest::prelude::*;
 
     /// Output of `packb` of openpi-client 0.1.2 for the observation in the test below.

@@ -1,6 +1,7 @@
 //! Address of a vla-eval model server, as written in a route.
 
-use std::{fmt, str::FromStr};
+use std::fmt;
+use std::str::FromStr;
 
 use thiserror::Error;
 use tonic::codegen::http::Uri;

@@ -7,11 +7,10 @@ use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
 use sha2::{Digest, Sha256};
 
-use super::{address::VlaEvalAddress, message::VERSION};
-use crate::{
-    numpy::{as_text, encode, lookup},
-    observations::camera,
-};
+use super::address::VlaEvalAddress;
+use super::message::VERSION;
+use crate::numpy::{as_text, encode, lookup};
+use crate::observations::camera;
 
 /// Names of the cameras in the simulator and in vla-eval's observations.
 pub(super) const CAMERAS: [(&str, &str); 2] =
@@ -101,10 +100,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         },
         checkpoint: format!("{UNNAMED_CHECKPOINT}, whose HELLO is sha256 {}…", digest(hello)),
         cameras: cameras.iter().map(|(name, _)| camera(name)).collect(),
-        state: match state {
-            true => STATE.map(i32::from).into(),
-            false => vec![],
-        },
+        state: if state { STATE.map(i32::from).into() } else { vec![] },
         horizon: address.execute,
         execute: address.execute,
         // A connection is a session, with chunks, histories and ensembles.

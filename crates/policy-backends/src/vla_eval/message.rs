@@ -9,7 +9,6 @@ use thiserror::Error;
 use super::address::MAX_EXECUTE;
 use crate::numpy::{self, Array, ArrayError, as_text, lookup, map};
 
-/// Version of the protocol.
 pub(super) const VERSION: u64 = 1;
 /// Version of vla-eval whose client the gateway reproduces.
 const HARNESS_VERSION: &str = "0.8.0";
@@ -222,10 +221,8 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::{
-        numpy::{Keys, array},
-        vla_eval::image::{self, ImageFormat},
-    };
+    use crate::numpy::{Keys, array};
+    use crate::vla_eval::image::{self, ImageFormat};
 
     // Output of `pack_message` of vla-eval 0.8.0, with raw images, for the messages in the tests
     // below.

@@ -25,7 +25,6 @@ pub const MOVING_PREFIX: &str = "moving-";
 /// Suffix of a file's name while it is being received.
 pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 
-/// A video that cannot be stored.
 #[derive(Debug, thiserror::Error)]
 pub enum ArtifactError {
     #[error("store the video of attempt {attempt}: it is larger than {MAX_ARTIFACT_BYTES} bytes")]
@@ -68,7 +67,6 @@ impl Queue {
 }
 
 impl Upload<'_> {
-    /// Appends data to the file.
     pub async fn write(&mut self, data: &[u8]) -> Result<(), ArtifactError> {
         self.size_bytes += data.len() as u64;
         if self.size_bytes > MAX_ARTIFACT_BYTES {

@@ -23,7 +23,6 @@ impl Backup {
 }
 
 impl Queue {
-    /// Copies the current database while it is in use.
     pub async fn backup(&self) -> Result<Backup, QueueError> {
         let guard = self.backups.clone().try_lock_owned();
         let guard = guard.map_err(|_| QueueError::BackupInHand)?;

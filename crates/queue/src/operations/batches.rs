@@ -127,7 +127,6 @@ pub(super) mod tests {
     use crate::store::Store;
     use crate::timing::Timing;
 
-    /// Starts a queue on an empty folder.
     pub(in crate::operations) async fn start(folder: &Path) -> Arc<Queue> {
         let store = Store::open(folder).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
@@ -135,7 +134,6 @@ pub(super) mod tests {
         queue.expect("a queue")
     }
 
-    /// Returns a campaign of more than two batches.
     fn large_campaign() -> NewCampaign {
         let spec = json!({
             "name": "large",

@@ -44,7 +44,6 @@ pub(super) struct Cache {
     measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
     /// Number of turns so far. A turn grants leases to one campaign.
     turns: u64,
-    /// Turn at which each campaign last received leases.
     last_turns: BTreeMap<CampaignId, u64>,
 }
 
@@ -66,7 +65,6 @@ impl Cache {
         }
     }
 
-    /// Marks the transaction as committed.
     pub(super) fn committed(&mut self) {
         self.is_open = false;
     }
@@ -175,7 +173,6 @@ impl Cache {
         cached.get_or_insert_with(|| origin.clone());
     }
 
-    /// Counts a turn of the campaign, which has received leases.
     pub(super) fn count_turn(&mut self, campaign: CampaignId) {
         self.turns += 1;
         self.last_turns.insert(campaign, self.turns);
@@ -193,7 +190,6 @@ impl Cache {
         self.waiting = None;
     }
 
-    /// Clears everything after a campaign was deleted.
     pub(super) fn clear(&mut self) {
         *self = Cache { is_open: self.is_open, ..Cache::default() };
     }

@@ -153,7 +153,6 @@ fn report_created(shared: &Shared, new: &NewCampaign) -> Created {
     Created { jobs_added: jobs, jobs_total: jobs, priority: new.priority }
 }
 
-/// Returns the error for changing a campaign that is cancelled or stopped.
 fn ended_error(campaign: &Campaign) -> QueueError {
     let name = campaign.name.clone();
     match campaign.state {
@@ -162,12 +161,8 @@ fn ended_error(campaign: &Campaign) -> QueueError {
     }
 }
 
-/// Refuses to change a campaign that is cancelled or stopped.
 pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
-    match campaign.state.is_over() {
-        true => Err(ended_error(campaign)),
-        false => Ok(()),
-    }
+    if campaign.state.is_over() { Err(ended_error(campaign)) } else { Ok(()) }
 }
 
 impl Context<'_> {

@@ -32,7 +32,6 @@ pub(super) struct PendingClaim<'a> {
     /// Index of the claim among the claims of the transaction.
     pub(super) place: usize,
     pub(super) request: &'a ClaimRequest,
-    /// Machine of the claiming worker.
     pub(super) machine: &'a str,
     /// Tasks of the current campaign that have no job for this claim.
     pub(super) exhausted: BTreeSet<String>,

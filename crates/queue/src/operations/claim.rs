@@ -32,10 +32,8 @@ pub struct Claimed {
     pub idle_reason: String,
 }
 
-/// A job with the lease on it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Assigned {
-    /// The attempt that was granted.
     pub attempt: AttemptId,
     pub job: JobId,
     /// Number of the attempt within the job, from 1.
@@ -48,7 +46,6 @@ pub struct Assigned {
     /// The policy's name at its endpoint.
     pub policy: String,
     pub policy_endpoint: String,
-    /// Name of the realisation.
     pub realisation: String,
     /// Execution model, as text.
     pub execution: String,
@@ -144,7 +141,6 @@ impl Context<'_> {
         Ok(standings)
     }
 
-    /// Returns the leases that repeated claims got earlier, by claim.
     async fn repeated(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -259,7 +255,6 @@ impl Context<'_> {
         Ok(assigned)
     }
 
-    /// Leases up to `room` jobs of one campaign.
     async fn lease_from(
         &mut self,
         campaign: &Campaign,

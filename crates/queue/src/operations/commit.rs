@@ -11,7 +11,6 @@ use crate::store::jobs::NamedAttempt;
 use crate::store::results::NewResult;
 use crate::store::{StoreError, campaigns, jobs, results, workers};
 
-/// A result as a worker reports it.
 #[derive(Clone, Debug)]
 pub struct CommitReport {
     pub attempt: AttemptId,
@@ -34,7 +33,6 @@ pub enum CommitVerdict {
     Unpaired,
 }
 
-/// The answer to a reported result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CommitReply {
     pub verdict: CommitVerdict,
@@ -43,7 +41,6 @@ pub struct CommitReply {
 }
 
 impl Context<'_> {
-    /// Stores results that were reported at the same time, and answers each report.
     pub(super) async fn store_results(
         &mut self,
         reports: &[&CommitReport],
@@ -218,7 +215,6 @@ impl Context<'_> {
         Ok(CommitReply { verdict: CommitVerdict::Accepted, detail: String::new() })
     }
 
-    /// Ends an attempt whose result is refused for `reason`, which `detail` explains.
     async fn refuse(
         &mut self,
         attempt: &NamedAttempt,

@@ -30,11 +30,7 @@ pub enum QueueError {
     )]
     PolicyMeasured { campaign: CampaignName, policy: String, results: u64 },
     #[error("change campaign `{campaign}`: {problem}")]
-    Unspecified {
-        campaign: CampaignName,
-        /// The fault, and its remedy.
-        problem: String,
-    },
+    Unspecified { campaign: CampaignName, problem: String },
     #[error(
         "create campaign `{campaign}`: it exists with another specification (they differ in {differs}); choose another name"
     )]
@@ -72,7 +68,6 @@ pub enum QueueError {
     Store(#[from] StoreError),
 }
 
-/// Returns the error for a campaign name that is not found: unknown or renamed.
 pub(crate) async fn unknown_campaign(
     tx: &mut SqliteConnection,
     name: &CampaignName,

@@ -74,7 +74,6 @@ impl Films {
         self.lock().filmed.clear();
     }
 
-    /// Stores the result of a scan that began at `at` and took `cost`.
     pub(super) fn scanned(
         &self,
         campaign: FilmedCampaign,
@@ -89,7 +88,6 @@ impl Films {
         state.unfilmed.insert(id, unfilmed);
     }
 
-    /// Records that the video of a rollout was stored.
     pub(super) fn filmed(&self, campaign: CampaignId, job: JobId) {
         let mut state = self.lock();
         state.filmed.insert(job);

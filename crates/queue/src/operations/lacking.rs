@@ -26,7 +26,6 @@ impl LackingTasks {
         }
     }
 
-    /// Drops all workers except the live ones.
     pub(super) fn retain(&self, live: &[Live]) {
         let mut lacking = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         lacking.retain(|id, _| live.iter().any(|live| live.id == *id));

@@ -10,12 +10,10 @@ use super::removals;
 use crate::queue::Queue;
 use crate::store::{Doing, StoreError, artifacts};
 
-/// A video in the data folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LocalFilm {
     /// Path below the data folder.
     pub path: String,
-    /// Absolute path of the file.
     pub file: PathBuf,
     /// Identity of the file when it was listed; it changes if the video is uploaded again.
     identity: (u64, i64, i64),
@@ -34,7 +32,6 @@ pub enum FilmRemoval {
 }
 
 impl Queue {
-    /// Returns the complete videos in the data folder.
     pub async fn local_films(&self) -> Result<Vec<LocalFilm>, StoreError> {
         let found = list_files(self.store().folder()).map_err(sqlx::Error::Io);
         let found = found.doing("list the videos in the data folder")?;

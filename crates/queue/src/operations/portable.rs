@@ -53,7 +53,6 @@ pub struct Portable {
     pub spec: String,
 }
 
-/// A video of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct FilmFile {
     /// Its name in an archive, `artifacts/CAMPAIGN/….ATTEMPT.mp4`.
@@ -67,7 +66,6 @@ pub struct FilmFile {
 /// The source campaign of a derived campaign, with the digest of its outcomes.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SourceOutcomes {
-    /// Name of the source campaign.
     pub campaign: String,
     /// SHA-256 of the outcomes, hex.
     pub outcomes: String,
@@ -101,7 +99,6 @@ struct Lines {
 }
 
 impl Lines {
-    /// Opens the file in a folder, and reads its first line.
     fn open(folder: &Path) -> Result<(Head, Lines), PortableError> {
         let file = BufReader::new(File::open(folder.join(ROLLOUTS_FILE))?);
         let mut lines = Lines { file, number: 0 };
@@ -229,12 +226,10 @@ impl Portable {
         View::begin(&self.store, now, Timing::default(), None, filming, Arc::default()).await
     }
 
-    /// Returns the number of videos.
     pub fn films(&self) -> u64 {
         self.films.len() as u64
     }
 
-    /// Returns the campaign under a name.
     fn named(&self, name: Option<&CampaignName>) -> Result<NewCampaign, QueueError> {
         let name = name.unwrap_or(&self.campaign.name);
         let renamed = altered(&self.spec, |spec| name.as_str().clone_into(&mut spec.name));
@@ -477,7 +472,6 @@ impl View {
     }
 }
 
-/// A campaign that cannot be exported.
 #[derive(Debug, thiserror::Error)]
 pub enum CopyError {
     /// This coordinator has no such campaign, or the database failed.
@@ -487,7 +481,6 @@ pub enum CopyError {
     Portable(#[from] PortableError),
 }
 
-/// A campaign that cannot be imported.
 #[derive(Debug, thiserror::Error)]
 pub enum AdoptError {
     #[error(

@@ -15,7 +15,6 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     spec.doing("read a campaign's specification")
 }
 
-/// Returns the records of a campaign's rollouts.
 pub(super) async fn records(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

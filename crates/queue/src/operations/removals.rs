@@ -8,7 +8,6 @@ use super::shared::Shared;
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, removals};
 
-/// Returns the folders still to be removed.
 pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> {
     let mut view = shared.store.read().await?;
     removals::pending(&mut view).await
@@ -53,7 +52,6 @@ async fn try_remove_locally(shared: &Shared, relative: &str) -> bool {
     }
 }
 
-/// Removes the mark of a path that has been removed.
 async fn unmark(shared: &Shared, relative: &str) -> Result<(), StoreError> {
     let mut context = Context::begin(shared, vec![Step::FinishRemoval]).await?;
     removals::remove(&mut context.tx, relative).await?;

@@ -25,7 +25,7 @@ impl Queue {
     /// Takes the chosen jobs out of quarantine: all of them, or none if one cannot be. Returns
     /// their number.
     pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
-        let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
+        let mut context = Context::begin(&self.shared, vec![Step::Quarantine]).await?;
         let campaign = context.campaign_named(name).await?;
         check_not_ended(&campaign)?;
         let chosen = match retry {
@@ -33,7 +33,12 @@ impl Queue {
             Retry::Named(names) => {
                 let mut chosen = Vec::with_capacity(names.len());
                 for job in names {
-                    chosen.push(context.quarantined(&campaign, job).await?);
+                    match context.job_named(&campaign, job).await? {
+                        (id, state) if state == "quarantined" => chosen.push(id),
+                        (_, state) => {
+                            return Err(QueueError::NotQuarantined { job: job.clone(), state });
+                        }
+                    }
                 }
                 // A job may be named twice.
                 chosen.sort_unstable();
@@ -52,21 +57,17 @@ impl Queue {
 }
 
 impl Context<'_> {
-    /// Returns the named job, if it is in quarantine.
-    async fn quarantined(
+    /// Returns the id and the state of a job.
+    pub(super) async fn job_named(
         &mut self,
         campaign: &Campaign,
         job: &JobName,
-    ) -> Result<JobId, QueueError> {
+    ) -> Result<(JobId, String), QueueError> {
         let JobName { rollout_id, replicate } = job;
         let found = jobs::by_rollout(&mut self.tx, campaign.id, rollout_id, *replicate).await?;
-        match found {
-            Some((id, state)) if state == "quarantined" => Ok(id),
-            Some((_, state)) => Err(QueueError::NotQuarantined { job: job.clone(), state }),
-            None => Err(QueueError::UnknownRollout {
-                campaign: campaign.name.clone(),
-                job: job.clone(),
-            }),
-        }
+        found.ok_or_else(|| QueueError::UnknownRollout {
+            campaign: campaign.name.clone(),
+            job: job.clone(),
+        })
     }
 }

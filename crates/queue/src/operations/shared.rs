@@ -85,7 +85,6 @@ impl Shared {
         self.hold.borrow().clone()
     }
 
-    /// Runs a decision with this queue's random number generator.
     pub(crate) fn decide<T>(&self, decision: impl FnOnce(&mut ChaCha8Rng) -> T) -> T {
         decision(&mut self.rng.lock().unwrap_or_else(PoisonError::into_inner))
     }

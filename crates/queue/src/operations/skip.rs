@@ -23,20 +23,12 @@ impl Queue {
         name: &CampaignName,
         names: &[JobName],
     ) -> Result<u64, QueueError> {
-        let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
+        let mut context = Context::begin(&self.shared, vec![Step::Quarantine]).await?;
         let campaign = context.campaign_named(name).await?;
         check_not_ended(&campaign)?;
         let mut skipped = BTreeSet::new();
         for job in names {
-            let JobName { rollout_id, replicate } = job;
-            let tx = &mut context.tx;
-            let found = jobs::by_rollout(tx, campaign.id, rollout_id, *replicate).await?;
-            let Some((id, state)) = found else {
-                return Err(QueueError::UnknownRollout {
-                    campaign: campaign.name.clone(),
-                    job: job.clone(),
-                });
-            };
+            let (id, state) = context.job_named(&campaign, job).await?;
             // A job may be named twice.
             if !skipped.insert(id) {
                 continue;

@@ -13,7 +13,6 @@ pub(crate) async fn start(shared: &Shared) -> Result<(), StoreError> {
     context.commit().await
 }
 
-/// Restarts every lease with its full duration.
 pub(super) async fn restart_leases(context: &mut Context<'_>) -> Result<(), StoreError> {
     let expires = context.now.plus(context.shared.timing.lease);
     jobs::restart_leases(&mut context.tx, expires).await

@@ -19,12 +19,10 @@ use super::shared::Shared;
 use crate::store::StoreError;
 use crate::store::failpoint::Step;
 
-/// Most operations of one transaction.
 const MAX_BATCH: usize = 256;
 /// Most operations that wait for a transaction; further callers wait to submit their operations.
 pub(crate) const MAX_WAITING: usize = 4_096;
 
-/// An operation that a worker requests.
 pub(crate) enum Operation {
     /// Leases a job. The flag is true for a new claim, and false for a retry of a waiting claim
     /// that was woken.
@@ -147,7 +145,6 @@ impl Operation {
 }
 
 impl<Q, A> Pending<Q, A> {
-    /// Creates a pending request and the receiver of its answer.
     pub(crate) fn new(request: Q) -> (Pending<Q, A>, oneshot::Receiver<Result<A, QueueError>>) {
         let (reply, answer) = oneshot::channel();
         let pending = Pending { request, answer: None, reply };

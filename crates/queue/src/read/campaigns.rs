@@ -33,7 +33,6 @@ pub struct Counts {
     pub succeeded: u64,
 }
 
-/// State of a campaign in an answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Stage {

@@ -14,7 +14,6 @@ pub struct Changes(PoolConnection<Sqlite>);
 pub struct Sizes {
     /// Main database file.
     pub database: u64,
-    /// Write-ahead log.
     pub log: u64,
 }
 

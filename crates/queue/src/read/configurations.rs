@@ -56,7 +56,6 @@ pub struct ResultLine {
 }
 
 impl View {
-    /// Returns the named rollouts that exist in the campaign, in one replicate.
     pub async fn rollouts(
         &mut self,
         campaign: CampaignId,
@@ -79,7 +78,6 @@ impl View {
         .doing("read a configuration's rollouts")
     }
 
-    /// Returns the replicates in which a campaign has a rollout.
     pub async fn replicates(
         &mut self,
         campaign: CampaignId,

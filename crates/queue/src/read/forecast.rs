@@ -25,7 +25,6 @@ pub struct Forecast {
     pub slots: u64,
     /// Seconds until all rollouts are done; `None` without measurements.
     pub secs: Option<f64>,
-    /// Number of results that the forecast is based on.
     pub results: u64,
     /// True if these results are of the requested policy, false if they are of other policies.
     pub is_of_policy: bool,
@@ -50,7 +49,6 @@ struct Measured {
     policy_secs: f64,
 }
 
-/// A worker that is alive.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 struct Live {
     #[sqlx(json)]

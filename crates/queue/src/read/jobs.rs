@@ -14,9 +14,7 @@ use crate::operations::error::QueueError;
 use crate::store::campaigns::Campaign;
 use crate::store::{Doing, StoreError, json};
 
-/// Most jobs that one query returns.
 pub const MAX_JOBS_LISTED: u32 = 1_000;
-/// Most failures that one query returns.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
 /// Conditions on the jobs to list; `None` is no condition.
@@ -154,7 +152,6 @@ macro_rules! job_lines {
 }
 
 impl View {
-    /// Returns jobs of a campaign, in its order of jobs.
     pub async fn jobs(
         &mut self,
         campaign: &Campaign,
@@ -204,7 +201,6 @@ impl View {
         })
     }
 
-    /// Returns one job of a campaign with its manifest row, failed attempts and result.
     pub async fn job_details(
         &mut self,
         campaign: &Campaign,

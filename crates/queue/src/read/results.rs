@@ -26,7 +26,6 @@ pub struct Edition {
     has_stopped: bool,
 }
 
-/// A committed rollout for exports.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct ExportedRow {
     pub rollout_id: String,
@@ -160,7 +159,6 @@ impl View {
         Ok(rows.into_iter().map(seed).collect())
     }
 
-    /// Returns the distinct provenances of a campaign's results.
     pub async fn provenances(
         &mut self,
         campaign: CampaignId,

@@ -16,13 +16,11 @@ pub const MAX_WORKERS_LISTED: u32 = 1_000;
 #[derive(Clone, Debug, Serialize, Deserialize, sqlx_macros::FromRow)]
 pub struct WorkerLine {
     pub worker_id: WorkerId,
-    /// Machine of the worker.
     pub host: String,
     /// Rollouts that the worker runs concurrently.
     pub slots: u32,
     pub leases: u32,
     pub asset_pack: String,
-    /// Version of the simulator.
     pub mujoco_version: String,
     pub renderer: String,
     pub look: String,
@@ -96,7 +94,6 @@ impl View {
         Ok(workers)
     }
 
-    /// Returns all policies with their health, by name.
     pub async fn policies(&mut self) -> Result<Vec<PolicyLine>, StoreError> {
         let mut policies: Vec<PolicyLine> = sqlx::query_as(concat!(
             "SELECT p.id, p.endpoint, p.name, ",

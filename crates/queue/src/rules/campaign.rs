@@ -29,7 +29,6 @@ pub enum CampaignState {
     Stopped { since: UnixMillis },
 }
 
-/// A change that an operator requests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Change {
     /// Suspend leasing until the campaign is resumed.

@@ -38,10 +38,8 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
     Some((first.id, share.max(1)))
 }
 
-/// A task of one campaign with waiting jobs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WaitingTask {
-    /// Key of the task.
     pub task: String,
     /// Place of the task's next job in the campaign's order of jobs.
     pub first_unit: i64,

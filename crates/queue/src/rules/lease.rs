@@ -69,7 +69,6 @@ pub enum JobState {
     Quarantined,
 }
 
-/// A lease: one attempt at one job, by one worker.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 pub struct Lease {
     pub attempt: AttemptId,
@@ -163,10 +162,7 @@ pub enum FailureReason {
 /// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
-    Requeue {
-        /// End of the job's back-off, the earliest instant of the next lease.
-        not_before: UnixMillis,
-    },
+    Requeue { not_before: UnixMillis },
     Quarantine,
 }
 
@@ -235,7 +231,6 @@ impl Job {
         (waits && is_newest && now < cut_off.lease.ceiling).then_some(&cut_off.lease)
     }
 
-    /// Returns the next step of this leased job after its attempt failed.
     pub fn after_failure(
         &self,
         reason: FailureReason,

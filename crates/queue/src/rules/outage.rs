@@ -42,7 +42,6 @@ pub enum PolicyState {
     /// One job, the probe, is leased; the others wait.
     Probing {
         attempt: AttemptId,
-        /// Error of the last outage.
         reason: String,
     },
 }
@@ -88,7 +87,6 @@ pub enum Allowance {
 }
 
 impl PolicyHealth {
-    /// Creates the health record of a new policy, which is available.
     pub fn new(now: UnixMillis) -> PolicyHealth {
         PolicyHealth {
             outages: 0,
@@ -98,7 +96,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns how many jobs of the policy may be leased.
     pub fn allowance(&self, now: UnixMillis) -> Allowance {
         match &self.state {
             PolicyState::Available => Allowance::Unlimited,
@@ -107,7 +104,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns the health after the probe was leased.
     #[must_use]
     pub fn with_probe(&self, attempt: AttemptId) -> PolicyHealth {
         match &self.state {
@@ -150,10 +146,7 @@ impl PolicyHealth {
             PolicyState::Paused { .. } => false,
             PolicyState::Probing { .. } => self.is_probe(attempt),
         };
-        match is_new_outage {
-            true => self.paused(error, now, rng),
-            false => self.clone(),
-        }
+        if is_new_outage { self.paused(error, now, rng) } else { self.clone() }
     }
 
     /// Returns the health after an attempt with invalid answers. The policy is paused after several
@@ -174,10 +167,7 @@ impl PolicyHealth {
             PolicyState::Paused { .. } => false,
             PolicyState::Probing { .. } => self.is_probe(attempt),
         };
-        match pauses {
-            true => counted.paused(error, now, rng),
-            false => counted,
-        }
+        if pauses { counted.paused(error, now, rng) } else { counted }
     }
 
     fn paused(&self, error: &str, now: UnixMillis, rng: &mut impl Rng) -> PolicyHealth {
@@ -205,7 +195,6 @@ impl PolicyHealth {
         }
     }
 
-    /// Returns the health after the policy answered a query of this attempt.
     #[must_use]
     pub fn after_answer(&self, attempt: AttemptId, now: UnixMillis) -> PolicyHealth {
         if !self.is_probe(attempt) {

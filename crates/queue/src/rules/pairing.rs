@@ -12,7 +12,6 @@ use crate::ids::WorkerId;
 /// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
 pub(crate) struct Demand<'a> {
-    /// The campaign's realisation.
     pub(crate) realisation: Realisation,
     pub(crate) row: &'a ManifestRow,
 }
@@ -193,7 +192,6 @@ mod tests {
         realised
     }
 
-    /// Returns a row of the full design.
     fn row(id: &str) -> ManifestRow {
         let rows = Design::v0_1().expand().expect("rows");
         let id: RolloutId = id.parse().expect("an id");
@@ -255,7 +253,6 @@ mod tests {
         (Axis::Actuation, 5.0),
     ];
 
-    /// Compares a simultaneous rollout with a sibling that realised one of its axes differently.
     fn difference_from_single(mode: Realisation, axis: Axis) -> Option<String> {
         let other = sibling(&format!("goal/t0/{axis}/L2/c01"), &[(axis, 0.0)], "");
         inconsistency((SIMULTANEOUS, mode), &METRIC_VALUES, "", &other)

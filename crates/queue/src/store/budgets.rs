@@ -10,7 +10,6 @@ use crate::ids::CampaignId;
 /// A task, by its key, with its numbers of policy steps and settling steps.
 pub(crate) type Budget = (String, i64, i64);
 
-/// Returns the step budgets of a campaign's rollouts.
 pub(crate) async fn of_campaign(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

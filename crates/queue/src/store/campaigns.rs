@@ -48,7 +48,6 @@ pub struct Campaign {
     pub wanted: Wanted,
     /// Priority: jobs of campaigns with a higher priority are leased first.
     pub priority: i32,
-    /// Number of jobs.
     pub jobs: i64,
     pub created_ms: UnixMillis,
     /// Folder of the campaign's files below the artifacts folder: the campaign's original name, or
@@ -122,7 +121,6 @@ pub(crate) async fn by_name(
         .doing("find a campaign")
 }
 
-/// Finds a campaign by its row number.
 pub(crate) async fn by_id(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -277,7 +275,6 @@ pub(crate) async fn insert_without_jobs(
     .doing("store a campaign")
 }
 
-/// Adds jobs to a campaign.
 pub(crate) async fn append_jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -399,7 +396,6 @@ pub(crate) async fn set_priority(
         .map(drop)
 }
 
-/// Stores a campaign's altered specification.
 pub(crate) async fn set_spec(
     tx: &mut SqliteConnection,
     id: CampaignId,

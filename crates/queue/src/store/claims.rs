@@ -73,7 +73,6 @@ pub(crate) struct LoneJob {
     pub(crate) losses: u32,
 }
 
-/// A lease to be stored.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Grant {
     pub(crate) job: i64,

@@ -20,7 +20,6 @@ pub enum Step {
     Release,
     /// Expired leases are ended.
     Sweep,
-    /// An artifact of a rollout is recorded.
     Artifact,
     CreateCampaign,
     /// Rows are added to a campaign.
@@ -31,8 +30,8 @@ pub enum Step {
     DeleteCampaign,
     /// The removal of a deleted campaign's files is recorded as complete.
     FinishRemoval,
-    /// Jobs are taken out of quarantine, or quarantined because an operator skips them.
-    RetryJobs,
+    /// An operator puts jobs into quarantine or takes them out.
+    Quarantine,
     /// A campaign ends early.
     Stop,
 }
@@ -87,7 +86,7 @@ impl Step {
         Step::ChangeCampaign,
         Step::DeleteCampaign,
         Step::FinishRemoval,
-        Step::RetryJobs,
+        Step::Quarantine,
         Step::Stop,
     ];
 }
@@ -103,7 +102,6 @@ impl Failpoints {
 
 #[cfg(debug_assertions)]
 impl Failpoints {
-    /// Reads [`FAILPOINT_VARIABLE`].
     pub(crate) fn from_environment() -> Failpoints {
         let armed = std::env::var(FAILPOINT_VARIABLE).ok().map(|text| {
             let (point, countdown) = match text.rsplit_once(':') {

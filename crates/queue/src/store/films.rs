@@ -8,7 +8,6 @@ use super::{Doing, StoreError};
 use crate::ids::{CampaignId, CampaignName, JobId};
 use crate::store::outcomes::OutcomeRow;
 
-/// A committed rollout to be filmed.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Film {
     /// Attempt whose outcome the video belongs to.
@@ -18,7 +17,6 @@ pub struct Film {
     pub replicate: u32,
     /// Manifest row, JSON.
     pub manifest_row: String,
-    /// Name of the realisation.
     pub realisation: String,
     /// The actions of every control step, as [`benchmark::attempt::Motion`] packs them.
     pub actions: Vec<u8>,
@@ -43,7 +41,6 @@ pub(crate) struct FilmedCampaign {
     pub(crate) campaign: CampaignId,
     pub(crate) name: CampaignName,
     pub(crate) revision: i64,
-    /// Source of a derived campaign.
     pub(crate) source: Option<CampaignId>,
     pub(crate) source_revision: Option<i64>,
 }
@@ -72,7 +69,6 @@ pub(crate) async fn filmed_campaigns(
     .doing("find campaigns that record transitions")
 }
 
-/// Returns all rollouts of a campaign with the fields that filming needs.
 pub(crate) async fn filmable(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -92,7 +88,6 @@ pub(crate) async fn filmable(
     .doing("find rollouts to film")
 }
 
-/// Returns a committed rollout with all inputs of filming.
 pub(crate) async fn film(tx: &mut SqliteConnection, job: JobId) -> Result<Film, StoreError> {
     sqlx::query_as(
         "SELECT r.attempt_id, c.name AS campaign, j.replicate, j.manifest_row, c.realisation,

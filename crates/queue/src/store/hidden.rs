@@ -42,7 +42,6 @@ pub(crate) async fn hide_new(tx: &mut SqliteConnection, id: CampaignId) -> Resul
     run(tx, &["UPDATE campaign SET state = 'paused' WHERE id = ?1 AND state = 'running'"], id).await
 }
 
-/// Hides a campaign that is being deleted.
 pub(crate) async fn hide_deleted(
     tx: &mut SqliteConnection,
     id: CampaignId,
@@ -73,7 +72,6 @@ pub(crate) async fn publish(
     run(tx, &["DELETE FROM passage WHERE campaign_id = ?1"], id).await
 }
 
-/// Returns the campaigns being inserted or deleted, with their policies.
 pub(crate) async fn all(
     tx: &mut SqliteConnection,
 ) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {

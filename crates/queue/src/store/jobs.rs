@@ -21,12 +21,10 @@ use crate::rules::lease::{AfterFailure, CutOff, FailureReason, Job, Lease, Outco
 pub(crate) struct InitialState {
     #[sqlx(rename = "campaign_id")]
     pub(crate) campaign: CampaignId,
-    /// Key of the task.
     pub(crate) task: String,
     pub(crate) init_id: i64,
 }
 
-/// An attempt named in a call, with its job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct NamedAttempt {
     #[sqlx(rename = "named")]
@@ -58,7 +56,6 @@ pub(crate) struct LeasedRow {
     pub(crate) control_steps: u32,
 }
 
-/// A lease that has expired.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct ExpiredRow {
     #[sqlx(flatten)]
@@ -70,7 +67,6 @@ pub(crate) struct ExpiredRow {
 /// Machines of a job's failed attempts, one entry for each attempt.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
-    /// Key of the job's task.
     pub(crate) task: String,
     /// Machines of charged failures.
     #[sqlx(json)]
@@ -80,7 +76,6 @@ pub(crate) struct History {
     pub(crate) silent_on: Vec<String>,
 }
 
-/// Progress of an attempt, as its worker reports it.
 #[derive(Clone, Debug, Serialize)]
 pub(crate) struct Progress<'a> {
     pub(crate) worker: &'a str,
@@ -410,7 +405,6 @@ pub(crate) async fn quarantined(
         .doing("find quarantined jobs")
 }
 
-/// Finds a job of a campaign by its rollout.
 pub(crate) async fn by_rollout(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -20,7 +20,6 @@ pub struct OutcomeRow {
 }
 
 impl OutcomeRow {
-    /// Returns the outcome for statistics.
     pub fn outcome(&self) -> Outcome {
         match (self.success, self.is_quarantined) {
             (Some(success), _) => Outcome::from(success),
@@ -29,7 +28,6 @@ impl OutcomeRow {
         }
     }
 
-    /// Returns the record for statistics.
     pub fn record(&self) -> Result<Record, UnknownName> {
         Ok(Record {
             id: self.rollout_id.parse()?,

@@ -55,7 +55,6 @@ pub(crate) async fn remove_unused(
     .map(drop)
 }
 
-/// An attempt that probes its policy.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Probe {
     pub(crate) campaign: CampaignId,
@@ -91,7 +90,6 @@ pub(crate) async fn is_idle(tx: &mut SqliteConnection, id: PolicyId) -> Result<b
     .doing("check whether a policy's jobs are leased")
 }
 
-/// Stores a policy's health.
 pub(crate) async fn set_health(
     tx: &mut SqliteConnection,
     id: PolicyId,

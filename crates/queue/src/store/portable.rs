@@ -98,7 +98,6 @@ impl Line {
 /// Films by attempt: file names and sizes, bytes.
 pub(crate) type Films = BTreeMap<AttemptId, (String, u64)>;
 
-/// Returns the jobs of a campaign, in its order of jobs.
 pub(crate) async fn jobs(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

@@ -4,7 +4,6 @@ use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
 
-/// Marks a folder or file for removal.
 pub(crate) async fn add(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
     sqlx::query("INSERT OR IGNORE INTO removal (folder) VALUES (?)")
         .bind(folder)
@@ -14,7 +13,6 @@ pub(crate) async fn add(tx: &mut SqliteConnection, folder: &str) -> Result<(), S
         .map(drop)
 }
 
-/// Unmarks a folder or file that was removed.
 pub(crate) async fn remove(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM removal WHERE folder = ?")
         .bind(folder)

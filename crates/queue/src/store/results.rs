@@ -17,7 +17,6 @@ use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::pairing::Sibling;
 
-/// A result to be stored.
 #[derive(Clone, Debug)]
 pub(crate) struct NewResult<'a> {
     pub(crate) attempt: AttemptId,

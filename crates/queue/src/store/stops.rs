@@ -31,7 +31,6 @@ pub struct EarlyStop {
     #[sqlx(json)]
     #[serde(flatten)]
     pub stop: Stop,
-    /// Number of all configurations of the campaign.
     pub configurations: u32,
     /// Number of configurations after which the campaign stopped; `None` if it has not stopped.
     pub used: Option<u32>,
@@ -39,7 +38,6 @@ pub struct EarlyStop {
     pub saved: Option<u32>,
 }
 
-/// Records that a campaign may stop early.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -54,7 +52,6 @@ pub(crate) async fn insert(
         .map(drop)
 }
 
-/// Returns the campaigns that may still stop early.
 pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable>, StoreError> {
     sqlx::query_as(
         "SELECT s.campaign_id AS campaign, c.spec -> '$.stop' AS stop FROM stop s
@@ -86,7 +83,6 @@ pub(crate) async fn first_unsettled(
     .doing("find the first rollout without an outcome")
 }
 
-/// Records that a campaign stopped after a number of its configurations.
 pub(crate) async fn stop(
     tx: &mut SqliteConnection,
     campaign: CampaignId,

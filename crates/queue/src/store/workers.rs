@@ -128,7 +128,6 @@ pub(crate) async fn upsert(
     .map(drop)
 }
 
-/// Returns the standings of those workers that have registered.
 pub(crate) async fn standings(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -164,7 +163,6 @@ pub(crate) async fn record_calls(
     .map(drop)
 }
 
-/// Records that workers sent heartbeats.
 pub(crate) async fn record_heartbeats(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],

@@ -9,7 +9,6 @@ use raster::{
 
 pub(crate) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
-/// Returns a model with a bumpy mesh, a plane, and textures of each kind.
 pub(crate) fn model() -> Model {
     let quality = Quality { slices: 12, stacks: 8, quads: 2 };
     let mut model = Model::new(quality).expect("shapes");

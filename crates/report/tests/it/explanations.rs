@@ -323,7 +323,7 @@ fn the_prospect_has_the_repeats_of_every_subset_and_too_few_repeats_are_refused(
         Findings::prospect(&campaign, &explanation)
     };
     let rollouts =
-        |repeats| prospect(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
+        |repeats| prospect(repeats).map(|prospect| (prospect.sought, prospect.rollouts()));
     assert_eq!(rollouts(None), Ok((12, 12 * 56)));
     assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
     let error =

@@ -5,21 +5,13 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
     #[error("read {}", path.display())]
-    Read {
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    Read { path: PathBuf, source: io::Error },
     #[error(
         "write {}; make room on that disk, make the folder writable, or choose another folder. \
          Completely received files are kept, and the same command resumes the fetch",
         path.display()
     )]
-    Write {
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    Write { path: PathBuf, source: io::Error },
     #[error(
         "fetch all files: the fetch was interrupted; received data is kept, and the same command \
          resumes the fetch"

@@ -67,7 +67,6 @@ impl FileFacts {
         self.stored == self.bytes
     }
 
-    /// Returns the number of bytes transferred from the package index.
     pub fn transfer_bytes(&self) -> u64 {
         self.stored
     }

@@ -4,7 +4,6 @@
 
 use mujoco_rs::mujoco_c::mjModel;
 
-/// A named array, converted to doubles.
 pub struct NamedArray {
     pub name: &'static str,
     /// Values in memory order.

@@ -244,7 +244,6 @@ fn materials(model: &Model) -> Vec<Option<Material>> {
     .collect()
 }
 
-/// Returns the error for content that the software renderer cannot draw.
 pub(super) fn graphics(problem: String) -> SimError {
     SimError::Graphics { problem, remedy: REMEDY }
 }

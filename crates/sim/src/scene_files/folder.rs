@@ -39,12 +39,7 @@ pub enum SceneFileError {
         "{doing} {}: choose another folder with ROLLOUT_SCENES, or none with ROLLOUT_SCENES=off",
         path.display()
     )]
-    File {
-        doing: &'static str,
-        path: PathBuf,
-        #[source]
-        source: io::Error,
-    },
+    File { doing: &'static str, path: PathBuf, source: io::Error },
     #[error(
         "trust {} with scenes: user {owner} owns it and its mode is {mode:o}; it must belong to \
          this user or root, and nobody else may write to it: correct that, or choose another \
@@ -321,7 +316,6 @@ pub(super) fn lock_of(name: &str) -> String {
     format!("{}.lock", &name[..2])
 }
 
-/// Returns the names of a scene's textures.
 fn names_of_textures(sections: &[Bytes]) -> impl Iterator<Item = &str> {
     let names = sections.get(TEXTURES).map_or(&[][..], |names| names.as_chunks().0);
     names.iter().filter_map(|name: &[u8; NAME_DIGITS]| std::str::from_utf8(name).ok())

@@ -123,7 +123,6 @@ impl Fixture {
     }
 }
 
-/// Replaces a file by a modified copy with the same name.
 fn tamper(file: &Path, change: impl FnOnce(&mut Vec<u8>)) {
     let mut bytes = fs::read(file).expect("read");
     change(&mut bytes);

@@ -68,10 +68,7 @@ impl Generator {
 }
 
 fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], steps: usize) {
-    let kind = match scenario.hard {
-        true => Reset::Hard,
-        false => Reset::Soft,
-    };
+    let kind = if scenario.hard { Reset::Hard } else { Reset::Soft };
     let mut rng = LegacyRng::seed(scenario.seed);
     let mut rounds = environment.reset(&mut rng, Reset::Hard, 1).unwrap();
     assert_eq!(rounds, 1, "the first attempt places everything");

@@ -109,7 +109,6 @@ impl Sender {
     }
 }
 
-/// The credentials of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Credentials {
     Nothing,
@@ -146,7 +145,6 @@ const CONTENTS: [Option<&str>; 7] = [
     Some("application/grpc-web-text+proto"),
 ];
 
-/// Returns the rules of a server with tokens, and the file of its tokens.
 pub(crate) fn guarded() -> (tempfile::NamedTempFile, Security) {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let tokens = format!("worker {WORKER}\noperator {OPERATOR}\nviewer {VIEWER}\n");

@@ -170,12 +170,10 @@ class LerobotModel:
 
     @property
     def config(self) -> Any:
-        """lerobot's configuration of the policy."""
         return self.network.config
 
     @property
     def parameters(self) -> int:
-        """Number of trained parameters."""
         return sum(parameter.numel() for parameter in self.network.parameters())
 
     @property
@@ -325,7 +323,6 @@ def _downloads(entry: Entry, config: Any, steps: Sequence[Mapping[str, Any]]) ->
 
 
 def _require_weights(network: Any, weights: Path, name: str) -> None:
-    """Compares the network with the file of its weights."""
     tensors = network.state_dict()
 
     def rename(stored: str) -> str:

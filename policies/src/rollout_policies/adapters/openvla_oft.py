@@ -70,7 +70,6 @@ class OftModel:
 
     @property
     def parameters(self) -> int:
-        """Number of trained parameters."""
         parts = (self.network, self.action_head, self.proprio_projector)
         return sum(tensor.numel() for part in parts for tensor in part.parameters())
 

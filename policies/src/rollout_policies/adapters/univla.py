@@ -90,8 +90,6 @@ class Memory:
 
 @dataclass
 class UnivlaModel:
-    """The language model and the decoder."""
-
     network: Any
     processor: Any
     decoder: Any
@@ -99,7 +97,6 @@ class UnivlaModel:
 
     @property
     def parameters(self) -> int:
-        """Number of trained parameters."""
         parts = (self.network, self.decoder)
         return sum(tensor.numel() for part in parts for tensor in part.parameters())
 

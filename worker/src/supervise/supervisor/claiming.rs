@@ -50,7 +50,6 @@ impl Supervisor {
         });
     }
 
-    /// Returns the keys of tasks whose files this worker lacks now.
     fn lacking_keys(&mut self) -> BTreeSet<String> {
         let mut keys = self.config.lacking_keys();
         let provider = self.config.provider.as_ref();

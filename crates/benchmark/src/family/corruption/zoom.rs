@@ -18,7 +18,6 @@ const SEVERITIES: [(f64, f64); 10] = [
     (1.56, 0.03),
 ];
 
-/// Corrupts a square picture.
 pub(super) fn blur(picture: &mut Picture<'_>, severity: usize) {
     let side = picture.height;
     let bytes = picture.rgb.iter();
@@ -42,7 +41,6 @@ fn factors(severity: usize) -> Vec<f64> {
     (0..count).map(|index| 1.0 + f64::from(index) * delta).collect()
 }
 
-/// Adds the magnified centre of a picture to `sum`.
 fn add_magnified(sum: &mut [f32], values: &[f32], side: usize, factor: f64) {
     let cropped = (side as f64 / factor).ceil() as usize;
     let margin = (side - cropped) / 2;

@@ -56,7 +56,6 @@ pub fn digest() -> &'static str {
     FIGURES.lines().next().unwrap_or_default()
 }
 
-/// Returns all paraphrases by task, type and number.
 pub fn inventory() -> &'static [Paraphrase] {
     static INVENTORY: OnceLock<Vec<Paraphrase>> = OnceLock::new();
     INVENTORY.get_or_init(|| {
@@ -75,7 +74,6 @@ pub fn inventory() -> &'static [Paraphrase] {
     })
 }
 
-/// Parses the paraphrases of a task and type.
 fn parse(
     line: &str,
     tasks: &[TaskRef],
@@ -156,7 +154,6 @@ mod tests {
 
     use super::*;
 
-    /// Counts of the released files.
     #[test]
     fn every_task_and_type_has_the_number_of_sentences_of_the_benchmark() {
         let mut by_eval: BTreeMap<u8, usize> = BTreeMap::new();

@@ -68,7 +68,6 @@ impl Wording {
         }
     }
 
-    /// Returns the short name in rollout ids and reports.
     const fn short(self) -> &'static str {
         match self {
             Self::Addition => "addition",

@@ -16,7 +16,6 @@ const NOISE: &str = "_noise_";
 /// every variant of the benchmark has only one.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct BddlPath {
-    /// Path of the file to be opened.
     pub file: String,
     /// View of `agentview`. A path without changes has the nominal view, whose pose is rounded.
     pub view: View,

@@ -53,7 +53,6 @@ impl View {
         })
     }
 
-    /// Applies the view to LIBERO's pose.
     pub fn apply(&self, nominal: CameraPose) -> CameraPose {
         let mut pose = nominal;
         if self.vertical != 0 {

@@ -12,7 +12,6 @@ use super::variant::{Change, Dimension, Variant};
 
 const FIGURES: &str = include_str!("../../../data/plus.txt");
 
-/// Entry of a variant in the benchmark.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Entry {
     pub variant: Variant,

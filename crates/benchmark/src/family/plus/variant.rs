@@ -21,7 +21,6 @@ pub enum Dimension {
     Robot,
     /// Pose of `agentview`.
     Camera,
-    /// Instruction.
     Language,
     /// Corruption of `agentview`'s pictures.
     Noise,

@@ -27,7 +27,6 @@ use serde::Serialize;
 use super::search::Search;
 use super::threshold::{Finding, Threshold};
 
-/// One half of all configurations.
 const HALF: f64 = 0.5;
 /// Largest number of fixed-point iterations for censored configurations.
 const MAX_ITERATIONS: u32 = 1_000;
@@ -82,7 +81,6 @@ pub struct Point {
     pub ci95: Option<Interval>,
 }
 
-/// The radius up to which half of all configurations survive.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
     /// Radius at which the curve crosses one half; `None` without a configuration, if fewer than
@@ -99,7 +97,6 @@ pub struct HalfSuccess {
     pub no_interval: Option<NoInterval>,
 }
 
-/// The threshold of one configuration.
 #[derive(Clone, Copy, Debug)]
 enum Survives {
     /// The configuration fails nominally.
@@ -165,7 +162,6 @@ impl Survives {
 }
 
 impl Curve {
-    /// Computes the curve of a condition from the thresholds found along its rays.
     pub(crate) fn new(
         condition: Condition,
         search: &Search,
@@ -214,7 +210,6 @@ struct Clusters {
     tasks: Vec<Task>,
 }
 
-/// The configurations of one task.
 struct Task {
     n: f64,
     /// Smallest, then largest possible number of configurations that survive up to each radius.
@@ -244,7 +239,6 @@ impl Clusters {
         Self { radii, tasks: tasks.into_values().collect() }
     }
 
-    /// Computes the curve's points and the radius at which it crosses one half.
     fn points(
         &self,
         thresholds: &[(TaskRef, Survives)],
@@ -271,10 +265,7 @@ impl Clusters {
                 ends => ends,
             });
             let [[low, _], [_, high]] = [ends[0]?, ends[1]?];
-            match high > low {
-                true => Ok([low, high]),
-                false => Err(NoInterval::NoSpread),
-            }
+            if high > low { Ok([low, high]) } else { Err(NoInterval::NoSpread) }
         };
         let survival = self.survival(thresholds);
         let shares = self.radii.iter().zip(&survival).enumerate();

@@ -15,7 +15,6 @@ use crate::adaptive::decision::Decision;
 use crate::adaptive::outcomes::Outcomes;
 use crate::adaptive::source::{decisive, rank};
 
-/// A configuration: its task and its number.
 type Configuration = (TaskRef, u16);
 
 /// Outcomes, searches and sample of a campaign whose thresholds are measured.
@@ -112,7 +111,6 @@ impl Measurement {
         Finding::new(outcomes, &self.searches[&ray.condition])
     }
 
-    /// Returns the next step for a ray.
     pub fn decision(&self, ray: Ray, outcomes: &Outcomes<Level>) -> Decision<Level> {
         next(outcomes, &self.searches[&ray.condition])
     }

@@ -15,7 +15,6 @@ pub struct Ray {
 
 /// The outcomes along a ray by radius; the nominal rollout is at [`Level::L0`].
 impl Outcomes<Level> {
-    /// Creates the outcomes of a ray from the outcome of its nominal rollout.
     pub fn from_nominal(nominal: Outcome) -> Self {
         let mut outcomes = Self::default();
         outcomes.record_source(Level::L0, nominal);

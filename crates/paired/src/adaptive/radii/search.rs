@@ -57,7 +57,6 @@ impl Search {
         Level::of_radius(middle).filter(|_| middle > low)
     }
 
-    /// Returns the largest radius of the grid.
     pub fn largest(&self) -> Option<Level> {
         self.grid.last().copied()
     }

@@ -43,7 +43,6 @@ pub struct Finding {
 }
 
 impl Finding {
-    /// Derives a ray's threshold from the outcomes along it.
     pub fn new(outcomes: &Outcomes<Level>, search: &Search) -> Self {
         let largest = search.largest().unwrap_or(Level::L0);
         let fails_at = outcomes.levels(false).find(|level| *level <= largest);

@@ -68,7 +68,6 @@ pub fn own_configurations(
 }
 
 impl Sample {
-    /// Returns the sampling settings of a campaign that explains another one.
     pub fn of(explanation: &Explanation) -> Self {
         Self {
             budget: explanation.budget.unwrap_or(u32::MAX),

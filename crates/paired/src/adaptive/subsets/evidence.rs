@@ -5,7 +5,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::adaptive::outcomes::Tally;
 
-/// Verdict of the rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Verdict {
@@ -37,7 +36,6 @@ impl Verdict {
     }
 }
 
-/// Rule by which a verdict is reached.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Evidence {
@@ -57,10 +55,7 @@ pub enum Role {
     Transition,
     /// Two or more axes, but not all: any of the `subsets` subsets that the search for minimal
     /// subsets may run.
-    Further {
-        /// Number of subsets with this role in the lattice.
-        subsets: u32,
-    },
+    Further { subsets: u32 },
 }
 
 impl Role {
@@ -129,7 +124,6 @@ impl Default for Repeats {
 }
 
 impl Repeats {
-    /// Returns the default rule with at most `most` rollouts.
     pub fn up_to(most: u32) -> Self {
         let default = Self::default();
         Self { batch: default.batch.min(most), most, ..default }
@@ -193,7 +187,6 @@ fn sign_test(successes: u32, failures: u32) -> f64 {
 }
 
 impl Evidence {
-    /// Returns the verdict of a tally of rollouts under a subset with this role.
     pub fn verdict(&self, tally: &Tally, role: Role) -> Verdict {
         let Tally { successes, failures, pending, .. } = *tally;
         match self {
@@ -210,7 +203,6 @@ impl Evidence {
         }
     }
 
-    /// Returns the number of rollouts in the first batch of a subset.
     pub(crate) fn first_batch(&self, role: Role) -> u32 {
         match self {
             Self::Once => 1,

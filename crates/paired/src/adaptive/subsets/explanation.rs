@@ -146,10 +146,7 @@ pub(crate) fn confirm(lattice: &Lattice) -> Result<(), Unexplained> {
             _ => return Err(Unexplained::NotConfirmed),
         }
     }
-    match is_waiting {
-        true => Err(Unexplained::AwaitsRepeats),
-        false => Ok(()),
-    }
+    if is_waiting { Err(Unexplained::AwaitsRepeats) } else { Ok(()) }
 }
 
 /// The subsets between one start and the full set, grouped by verdict.
@@ -165,7 +162,6 @@ pub(crate) struct Search {
 }
 
 impl Search {
-    /// Returns the searches that explain a transition.
     pub(crate) fn for_transition(lattice: &Lattice, transition: Transition) -> Vec<Self> {
         let fails = |single: &AxisSet| lattice.verdict(*single).success() == Some(false);
         match transition {
@@ -192,7 +188,6 @@ impl Search {
         search
     }
 
-    /// Returns the minimal subsets that flip the outcome, each with its open subsets.
     pub(crate) fn minimal(&self) -> Vec<MinimalSubset> {
         let open_below = |set: AxisSet| {
             let open = self.open.iter().copied();
@@ -202,10 +197,7 @@ impl Search {
             let unflipped = self.unflipped.iter().copied();
             let below: Vec<AxisSet> =
                 unflipped.filter(|subset| subset.is_proper_subset(set)).collect();
-            match below.is_empty() {
-                true => vec![self.start],
-                false => maximal(&below),
-            }
+            if below.is_empty() { vec![self.start] } else { maximal(&below) }
         };
         let minimal = minimal(&self.flipping).into_iter();
         minimal

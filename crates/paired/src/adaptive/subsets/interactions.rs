@@ -33,8 +33,6 @@ pub struct IncompleteLattice {
 }
 
 impl CompleteLattice {
-    /// Creates the lattice of a configuration of `task` from the outcomes under every
-    /// subset of `full`.
     pub fn new(
         task: TaskRef,
         full: AxisSet,
@@ -264,7 +262,6 @@ struct Numerators {
 }
 
 impl Numerators {
-    /// Computes the interactions from the counts of successes, in the order of `subsets`.
     fn new(subsets: &[AxisSet], successes: &[i64]) -> Self {
         let sets = || subsets.iter().copied().zip(successes);
         let coefficient = |set: AxisSet| -> i64 {

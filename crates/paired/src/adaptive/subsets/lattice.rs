@@ -83,10 +83,7 @@ impl Lattice {
 
     fn check(&self, set: AxisSet) -> Result<(), LatticeError> {
         let full = self.full;
-        match set.is_subset(full) {
-            true => Ok(()),
-            false => Err(LatticeError::OtherAxes { set, full }),
-        }
+        if set.is_subset(full) { Ok(()) } else { Err(LatticeError::OtherAxes { set, full }) }
     }
 
     /// Returns all axes of the campaign.
@@ -94,17 +91,14 @@ impl Lattice {
         self.full
     }
 
-    /// Returns the rule for verdicts.
     pub const fn evidence(&self) -> Evidence {
         self.evidence
     }
 
-    /// Returns the outcomes of the explained and of the explaining campaign.
     pub const fn outcomes(&self) -> &Outcomes<AxisSet> {
         &self.outcomes
     }
 
-    /// Returns the tally of the evidence under a subset.
     pub fn tally(&self, set: AxisSet) -> Tally {
         match self.evidence {
             Evidence::Once => self.outcomes.both(set),
@@ -163,10 +157,7 @@ impl Lattice {
     }
 
     pub(crate) fn role(&self, set: AxisSet) -> Role {
-        match self.is_of_campaign(set) {
-            true => Role::Transition,
-            false => Role::further(self.full.len()),
-        }
+        if self.is_of_campaign(set) { Role::Transition } else { Role::further(self.full.len()) }
     }
 
     /// Returns the subsets with evidence or a requested rollout and their tallies, in order.

@@ -42,7 +42,6 @@ impl Strategy {
     pub const ALL: [Self; 2] = [Self::Adaptive, Self::Exhaustive];
 }
 
-/// Rollouts of one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Request {
     pub set: AxisSet,
@@ -82,7 +81,6 @@ pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
     Decision::run(sets.into_iter().map(|set| first_request(lattice, set)).collect())
 }
 
-/// Returns the requests for the next batch of each subset that is not decided.
 fn undecided_requests(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) -> Vec<Request> {
     let requests = sets.filter_map(|set| match lattice.verdict(set) {
         Verdict::NotRun => Some(first_request(lattice, set)),
@@ -126,10 +124,7 @@ fn border(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
     let unsettled = not_run.iter().copied().filter(|set| !is_settled(set));
     let unsettled: Vec<AxisSet> = unsettled.collect();
     let (smallest, largest) = (minimal(&unsettled), maximal(&unsettled));
-    match smallest.len() < largest.len() {
-        true => smallest,
-        false => largest,
-    }
+    if smallest.len() < largest.len() { smallest } else { largest }
 }
 
 /// Largest size of a minimal subset that is verified by running all of its subsets.

@@ -16,7 +16,6 @@ pub struct Sample {
     pub budget: u32,
     /// Seed of the random order in which configurations are started.
     pub seed: u64,
-    /// Strategy for each configuration.
     pub strategy: Strategy,
 }
 
@@ -69,7 +68,6 @@ pub fn plan<'a>(
     batches
 }
 
-/// Truncates a batch to the affordable rollouts.
 fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(budget);
@@ -80,7 +78,6 @@ fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
 }
 
 impl Lattice {
-    /// Returns the largest number of rollouts that may still be requested.
     pub fn most_further_rollouts(&self) -> u32 {
         let sets = self.full().subsets().into_iter().filter(|set| !set.is_empty());
         sets.map(|set| self.evidence().remaining(&self.tally(set), self.role(set))).sum()

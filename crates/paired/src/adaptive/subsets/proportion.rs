@@ -19,10 +19,7 @@ pub fn clopper_pearson(count: Count, level: f64) -> Option<Interval> {
     }
     let tail = (1.0 - level) / 2.0;
     // P(X ≤ k) falls with p; P(X ≥ k) = P(n − X ≤ n − k) is its mirror image.
-    let high = |k: u64| match k == n {
-        true => 1.0,
-        false => bisect(|p| at_most(k, n, p) > tail),
-    };
+    let high = |k: u64| if k == n { 1.0 } else { bisect(|p| at_most(k, n, p) > tail) };
     Some([1.0 - high(n - successes), high(successes)])
 }
 
@@ -31,10 +28,7 @@ fn bisect(holds: impl Fn(f64) -> bool) -> f64 {
     let (mut low, mut high) = (0.0, 1.0);
     for _ in 0..BISECTIONS {
         let middle = f64::midpoint(low, high);
-        match holds(middle) {
-            true => low = middle,
-            false => high = middle,
-        }
+        if holds(middle) { low = middle } else { high = middle }
     }
     f64::midpoint(low, high)
 }

@@ -14,7 +14,6 @@ use super::lattice::Lattice;
 use super::proportion::clopper_pearson;
 use crate::adaptive::outcomes::Tally;
 
-/// One configuration's lattice and its explanation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Explained {
     /// The configuration, named by its simultaneous rollout.
@@ -32,7 +31,6 @@ pub struct Explained {
     pub rollouts: u32,
 }
 
-/// Verdict and rollouts under one subset.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SubsetOutcome {
     pub set: AxisSet,
@@ -84,7 +82,6 @@ pub struct Occurrence {
     pub transition: Transition,
     /// The set from which the search started: empty, or the axis that fails alone.
     pub start: AxisSet,
-    /// The minimal subset.
     pub set: AxisSet,
     /// Configurations in which `set` is minimal according to the outcomes so far.
     pub configurations: u64,

@@ -84,7 +84,6 @@ fn campaign(outcomes: &Outcomes) -> Lattice {
     source(full_of(outcomes), Evidence::Once, |set| outcomes[&set])
 }
 
-/// Returns the lattice with the outcomes under every subset.
 fn complete(outcomes: &Outcomes) -> Lattice {
     let mut lattice = Lattice::new(full_of(outcomes), Evidence::Once).expect("two axes at least");
     for (&set, &outcome) in outcomes {

@@ -1,5 +1,5 @@
 //! Configurations whose outcomes follow a planted rule, so that the findings of a search can be
-//! compared with the truth.
+//! compared with the truth. The example `planted` includes this file, too.
 
 use std::collections::BTreeMap;
 
@@ -10,10 +10,8 @@ use paired::adaptive::subsets::{Evidence, Explanation, Lattice, Request, Strateg
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
-/// Kind of planted rule.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
-    /// A pair fails.
     Pair,
     /// A triple fails, and none of its pairs does.
     Triple,
@@ -60,7 +58,6 @@ impl Kind {
 pub(crate) struct Rule(BTreeMap<AxisSet, bool>);
 
 impl Rule {
-    /// Draws a rule of a kind.
     pub(crate) fn draw(kind: Kind, rng: &mut ChaCha12Rng) -> Self {
         loop {
             let axes = shuffled(rng);
@@ -162,7 +159,6 @@ impl Rule {
 pub(crate) struct SearchResult {
     /// Number of subsets that were run beyond those of a campaign.
     pub(crate) subsets: usize,
-    /// Number of rollouts that were requested.
     pub(crate) rollouts: u32,
     pub(crate) batches: usize,
     /// The explanation, if there is one.
@@ -237,7 +233,6 @@ pub(crate) fn run(
     batches
 }
 
-/// Runs a search over the outcomes of a rule.
 pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> SearchResult {
     search(strategy, Evidence::Once, |set| Outcome::from(rule.succeeds(set)))
 }

@@ -19,7 +19,6 @@ fn toss(p: f64, rng: &mut ChaCha12Rng) -> Outcome {
     Outcome::from(f64::from(rng.next_u32()) < p * 2_f64.powi(32))
 }
 
-/// Returns a configuration with outcomes that form a transition.
 fn select(coins: Coins, rng: &mut ChaCha12Rng) -> Lattice {
     let evidence = Evidence::Repeated(Repeats::default());
     loop {
@@ -30,7 +29,6 @@ fn select(coins: Coins, rng: &mut ChaCha12Rng) -> Lattice {
     }
 }
 
-/// Runs the search of a selected configuration to its end.
 fn search(coins: Coins, strategy: Strategy, rng: &mut ChaCha12Rng) -> Lattice {
     let mut lattice = select(coins, rng);
     run(&mut lattice, strategy, |set| toss(coins(set), rng));

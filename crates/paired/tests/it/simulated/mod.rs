@@ -1,4 +1,5 @@
-//! Campaigns of policies whose true success probabilities are known.
+//! Campaigns of policies whose true success probabilities are known, for tests and the example
+//! `coverage`.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +37,6 @@ impl Chance {
     }
 }
 
-/// Returns the record of a simulated rollout.
 pub(crate) fn record(
     task: TaskRef,
     condition: Condition,
@@ -57,7 +57,6 @@ pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
     singles.chain([Condition::Simultaneous])
 }
 
-/// True success probabilities of one configuration.
 #[derive(Clone, Copy)]
 struct Probabilities {
     nominal: f64,
@@ -73,7 +72,6 @@ struct Probabilities {
 type Sums = [f64; 7 + CONDITIONS];
 
 impl Probabilities {
-    /// Returns the addends of one configuration.
     fn sums(&self) -> Sums {
         let conjunction: f64 = self.perturbed[..AXES].iter().product();
         let simultaneous = self.perturbed[AXES];
@@ -115,7 +113,6 @@ fn normal_points() -> impl Iterator<Item = (f64, f64)> {
 pub(crate) struct Population {
     /// Logit of nominal success in each suite.
     ease: [f64; 4],
-    /// Cost of each condition on the logit.
     costs: [f64; CONDITIONS],
     /// Standard deviations on the logit: of tasks, of a condition in a task, and of a
     /// direction.
@@ -302,7 +299,6 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
     .into()
 }
 
-/// Returns task number `task_index` of a campaign over the first `suites` suites.
 pub(crate) fn task(task_index: usize, suites: usize) -> TaskRef {
     let suite = Suite::ALL[task_index % suites];
     let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);

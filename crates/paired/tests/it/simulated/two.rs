@@ -25,7 +25,6 @@ pub(crate) fn row(condition: Condition) -> usize {
     row.unwrap_or(CONDITIONS)
 }
 
-/// One of two policies.
 struct Policy {
     population: Population,
     /// Probability that a failed rollout satisfied one of the goal's two predicates.
@@ -53,10 +52,7 @@ impl Policy {
     /// Runs a rollout; returns its success, steps and progress.
     fn rollout(&self, success: f64, length: f64, chance: &mut Chance) -> (bool, u32, GoalProgress) {
         let succeeds = chance.uniform() < success;
-        let at_most = match succeeds {
-            true => 2,
-            false => u32::from(chance.uniform() < self.half_done),
-        };
+        let at_most = if succeeds { 2 } else { u32::from(chance.uniform() < self.half_done) };
         let steps = match succeeds {
             // Random rounding preserves the mean.
             true => {

@@ -62,10 +62,7 @@ fn fetch_while(
         },
         progress: &mut |report| {
             last = Some(report);
-            match should_continue(report) {
-                true => ControlFlow::Continue(()),
-                false => ControlFlow::Break(()),
-            }
+            if should_continue(report) { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         },
     }
     .run(&wanted);

@@ -1,5 +1,5 @@
-//! Arm for tests: a chain of links, each 0.2 m up and 0.05 m sideways, which turn about alternating
-//! axes.
+//! Arm for tests of this module and for `tests/matched.rs`: a chain of links, each 0.2 m up and
+//! 0.05 m sideways, which turn about alternating axes.
 
 use nalgebra::{Matrix3, Rotation3, Vector3, Vector6};
 

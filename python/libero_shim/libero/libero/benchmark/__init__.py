@@ -78,11 +78,9 @@ class Benchmark:
         self.n_tasks = len(tasks)
 
     def get_num_tasks(self) -> int:
-        """Number of tasks."""
         return self.n_tasks
 
     def get_task_names(self) -> list[str]:
-        """The tasks' names."""
         return [task.name for task in self.tasks]
 
     def get_task_problems(self) -> list[str]:
@@ -90,11 +88,9 @@ class Benchmark:
         return [task.problem for task in self.tasks]
 
     def get_task_bddl_files(self) -> list[str]:
-        """The names of the tasks' BDDL files."""
         return [task.bddl_file for task in self.tasks]
 
     def get_task_bddl_file_path(self, i: int) -> str:
-        """Returns the path of a task's BDDL file."""
         task = self.tasks[i]
         return os.path.join(self._path("bddl_files"), task.problem_folder, task.bddl_file)
 
@@ -105,7 +101,6 @@ class Benchmark:
         return f"{self.tasks[i].problem_folder}/{self.tasks[i].name}_demo.hdf5"
 
     def get_task(self, i: int) -> Task:
-        """Returns a task by its index."""
         return self.tasks[i]
 
     def get_task_emb(self, i: int) -> Any:

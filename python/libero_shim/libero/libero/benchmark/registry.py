@@ -35,7 +35,6 @@ class Registry(Generic[_Suite]):
             ) from None
 
     def print(self) -> None:
-        """Prints the suites' names."""
         print("\n".join(self.suites))
 
 

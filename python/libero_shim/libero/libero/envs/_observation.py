@@ -112,6 +112,8 @@ class Observer:
     def _readings(self) -> dict[str, NDArray[Any]]:
         simulation = self._handle.get()
         readings = simulation.readings()
+        for name in ("pos", "vel"):
+            readings[f"gripper_q{name}"] = readings.pop(f"gripper_{name}")
         readings["joint_pos_cos"] = np.cos(readings["joint_pos"])
         readings["joint_pos_sin"] = np.sin(readings["joint_pos"])
         read = {f"{_ROBOT}_{name}": readings[name] for name in _PROPRIOCEPTION}

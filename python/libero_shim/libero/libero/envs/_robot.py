@@ -78,8 +78,6 @@ class Controller:
 
 
 class Robot:
-    """The Panda."""
-
     dof = 8
     action_dim = _DIMENSIONS + 1
     has_gripper = True

@@ -180,7 +180,6 @@ class MjData:
 
     @property
     def ncon(self) -> int:
-        """Number of contacts."""
         return len(self._handle.get().contacts())
 
     @property
@@ -265,7 +264,6 @@ class MjSim:
         self.data = MjData(handle, self.model)
 
     def get_state(self) -> MjSimState:
-        """A copy of the state."""
         state = self._handle.get().state()
         nq = self.model.nq
         return MjSimState(float(state[0]), state[1 : 1 + nq], state[1 + nq :])

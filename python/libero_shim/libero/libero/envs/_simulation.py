@@ -56,7 +56,6 @@ class SimulationHandle:
 
     @property
     def scene(self) -> Scene:
-        """The compiled scene."""
         return self.get().scene
 
     def get(self) -> Simulation:

@@ -142,7 +142,6 @@ class BDDLBaseDomain:
         return self._scaled(self._check_success())
 
     def close(self) -> None:
-        """Frees the simulation."""
         self._handle.close()
 
     @property
@@ -173,7 +172,6 @@ class BDDLBaseDomain:
     enabled_observables = active_observables
 
     def observation_spec(self) -> Observation:
-        """Returns the current observation."""
         return self._get_observations()
 
     def modify_observable(self, observable_name: str, attribute: str, modifier: Any) -> None:

@@ -89,11 +89,9 @@ class ControlEnv:
         return self.env.sim
 
     def step(self, action: Any) -> tuple[Observation, float, bool, dict[str, Any]]:
-        """See `BDDLBaseDomain.step`."""
         return self.env.step(action)
 
     def reset(self) -> Observation:
-        """See `BDDLBaseDomain.reset`."""
         return self.env.reset()
 
     def seed(self, seed: int | None) -> None:
@@ -113,11 +111,9 @@ class ControlEnv:
         self.sim.set_state_from_flattened(mujoco_state)
 
     def set_init_state(self, init_state: Any) -> Observation:
-        """Sets the state and returns its observation."""
         return self.regenerate_obs_from_state(init_state)
 
     def regenerate_obs_from_state(self, mujoco_state: Any) -> Observation:
-        """Sets the state and returns its observation."""
         self.set_state(mujoco_state)
         self.sim.forward()
         self.check_success()

@@ -119,7 +119,6 @@ class EnvWorker(ABC):
         """Closes the environment."""
 
     def close(self) -> None:
-        """Closes the environment, unless it is closed."""
         if not self.is_closed:
             self.is_closed = True
             self.close_env()
@@ -129,7 +128,6 @@ class EnvWorker(ABC):
         return self.recv()
 
     def step(self, action: Any) -> Any:
-        """Executes one control step."""
         self.send(action)
         return self.recv()
 
@@ -146,7 +144,6 @@ class EnvWorker(ABC):
         return list(conns)
 
     def check_success(self) -> bool:
-        """Returns True if the goal holds."""
         return bool(self.call("check_success"))
 
     def get_segmentation_of_interest(self, segmentation_image: Any) -> Any:
@@ -158,7 +155,6 @@ class EnvWorker(ABC):
         return self.call("get_sim_state")
 
     def set_init_state(self, init_state: Any) -> Any:
-        """Sets the state; returns the observation."""
         return self.call("set_init_state", init_state)
 
 

@@ -74,11 +74,9 @@ class ControlEnv(_VariantEnv):
             self._change.check(*self._size)
 
     def reset(self) -> Any:
-        """See `BDDLBaseDomain.reset`."""
         return self._corrupt(super().reset())
 
     def step(self, action: Any) -> tuple[Any, float, bool, dict[str, Any]]:
-        """See `BDDLBaseDomain.step`."""
         observation, *rest = super().step(action)
         return self._corrupt(observation), *rest
 

@@ -31,7 +31,6 @@ const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest file name quoted in a message, bytes.
 const MAX_FILE_NAME_BYTES: usize = 200;
 
-/// Packs a campaign and returns the archive as a stream.
 pub(super) async fn archive(
     queue: &Arc<Queue>,
     storage: Option<&Storage>,

@@ -3,26 +3,22 @@
 
 use std::collections::BTreeMap;
 
-use ::report::Document;
 use benchmark::attempt::Provenance;
 use queue::Portable;
+use report::Document;
 use serde::Serialize;
 use serde_json::Value;
 
 use super::ArchiveError;
-use crate::report;
+use crate::subject;
 
-/// Member with the campaign's specification.
 pub(super) const SPECIFICATION: &str = "specification.json";
-/// Member with the provenance of the results.
 pub(super) const PROVENANCE: &str = "provenance.json";
-/// Member with the campaign's report.
 pub(super) const REPORT: &str = "report.json";
 
-/// Names and contents of the derived members.
-pub(super) type Derived = [(&'static str, String); 3];
+/// Names and contents of the computed members.
+pub(super) type Computed = [(&'static str, String); 3];
 
-/// Content of [`PROVENANCE`].
 #[derive(Serialize)]
 struct Origins {
     /// Machines, programs, assets and policies of the results.
@@ -31,11 +27,10 @@ struct Origins {
     policy_seeds: BTreeMap<String, Vec<u64>>,
 }
 
-/// Computes the derived members of a campaign.
-pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
+pub(super) async fn compute(from: &Portable) -> Result<Computed, ArchiveError> {
     let mut view = from.view().await?;
-    let mut subject = report::subject(&mut view, &from.campaign).await?;
-    subject.setups = report::setups(&mut view, &from.campaign).await?;
+    let mut subject = subject::read(&mut view, &from.campaign).await?;
+    subject.setups = subject::setups(&mut view, &from.campaign).await?;
     let mut policy_seeds: BTreeMap<String, Vec<u64>> = BTreeMap::new();
     for (rollout, seed) in view.policy_seeds(from.campaign.id).await? {
         policy_seeds.entry(rollout).or_default().push(seed);

@@ -19,7 +19,7 @@ use crate::reading::ReadError;
 /// Reads the current results of a campaign. A result of a realisation mode other than the
 /// campaign's is treated as missing and counted in `left_out`: the modes perturb differently and
 /// must not be pooled. The queue refuses to commit such results.
-pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
+pub(crate) async fn read(view: &mut View, campaign: &Campaign) -> Result<Subject, ReadError> {
     let spec = view.current_spec(campaign).await?;
     let spec = CampaignSpec::from_json(&spec)
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
@@ -113,7 +113,7 @@ async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<Early
 
 /// Returns digests of the setups of a campaign's rollouts. Rollouts of the same id in two campaigns
 /// are comparable if their digests are equal.
-pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
+pub(crate) async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, ReadError> {
     let mut setups = Setups::default();
     for row in view.setups(campaign.id).await? {
         let SetupRow { rollout_id, manifest_row, digests } = row;

@@ -95,12 +95,10 @@ impl Bench {
         claim.lease.expect("a rollout was added")
     }
 
-    /// Runs a command that must succeed. Returns its output.
     pub(crate) fn succeed(&self, arguments: &[&str]) -> String {
         succeed(self.serve.command(arguments))
     }
 
-    /// Runs a command that must fail. Returns its error message.
     pub(crate) fn refused(&self, arguments: &[&str]) -> String {
         let output = self.serve.command(arguments);
         assert!(!output.status.success(), "{}", text(&output.stdout));
