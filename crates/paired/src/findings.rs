@@ -10,7 +10,6 @@ use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
 use crate::inference::hypotheses::holm;
 use crate::inference::loss::Loss;
-use crate::outcomes::Count;
 use crate::replication::Flips;
 use crate::report::{Cell, Report};
 use crate::text::{listed, percent, points};
@@ -24,12 +23,12 @@ pub const FINDING_ALPHA: f64 = 0.01;
 /// Significance level of claims of equivalence, whose p-values are not corrected.
 const EQUIVALENCE_ALPHA: f64 = 0.05;
 
-/// Returns the findings: success, then for each level costs, simultaneity
-/// and, if success depends on the direction, directions.
+/// Returns the findings: for each level costs, simultaneity and, if success depends on the
+/// direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells: Vec<&Cell> = report.cells.iter().collect();
     let claims = Claims::new(&cells);
-    let mut findings: Vec<Finding> = success(report, &cells).into_iter().collect();
+    let mut findings = Vec::new();
     for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
         findings.extend(cost(cell));
         findings.extend(simultaneity(cell, report, &claims));
@@ -88,47 +87,6 @@ impl Claims {
         let p = self.0.get(&(cell.level, hypothesis));
         p.copied().unwrap_or(1.0)
     }
-}
-
-fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
-    let nominal = report.nominal.as_ref()?;
-    let rows = report.suite_rows();
-    let rate = |condition, level| {
-        let row = rows.iter().find(|row| row.condition == condition && row.level == level)?;
-        let interval = row.ci95.map_or_else(String::new, |[low, high]| {
-            format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
-        });
-        Some((percent(row.all.rate()), interval, row.all.n)).filter(|(.., n)| *n > 0)
-    };
-    let seeds = seeds(&nominal.by_replicate);
-    let mut sentence = match rate(Condition::Nominal, Level::L0) {
-        None => "No nominal rollout has an outcome yet".to_owned(),
-        Some((rate, interval, n)) => {
-            format!("Nominally, {rate} %{interval} of {n} rollouts{seeds} succeed")
-        }
-    };
-    let at_levels = cells.iter().filter_map(|cell| {
-        let (rate, interval, _) = rate(Condition::Simultaneous, cell.level)?;
-        let seeds = self::seeds(&cell.by_replicate);
-        Some(format!("{rate} %{interval}{seeds} at {}", cell.level))
-    });
-    let at_levels: Vec<String> = at_levels.collect();
-    if !at_levels.is_empty() {
-        sentence.push_str("; under simultaneous perturbation, ");
-        sentence.push_str(&listed(&at_levels));
-    }
-    sentence.push('.');
-    Some(Finding { kind: FindingKind::Success, level: None, claims: false, holm_p: None, sentence })
-}
-
-/// Describes counts by policy seed: ` (mean of 3 seeds: 70.0, 35.0 and 40.0)`; empty without
-/// replicates.
-pub(crate) fn seeds(by_replicate: &BTreeMap<u32, Count>) -> String {
-    if by_replicate.is_empty() {
-        return String::new();
-    }
-    let rates: Vec<String> = by_replicate.values().map(|count| percent(count.rate())).collect();
-    format!(" (mean of {} seeds: {})", rates.len(), listed(&rates))
 }
 
 /// Writes the finding about the greatest loss under a single axis, or smaller losses if only they
@@ -191,7 +149,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     sentence.push('.');
     Some(Finding {
         kind: FindingKind::Cost,
-        level: Some(level),
+        level,
         claims: !costly.is_empty(),
         holm_p: Some(p),
         sentence,
@@ -254,7 +212,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     let p = measured.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
     Some(Finding {
         kind: FindingKind::Simultaneity,
-        level: Some(level),
+        level,
         claims: !parts.is_empty(),
         holm_p: Some(p[0].min(p[1])),
         sentence,
@@ -280,6 +238,7 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
         }
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
+            let n = cell.paired.as_ref()?.n;
             // A share of 0 among a few rollouts gives no upper bound of chance.
             let flips = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
             let bound = flips.map_or_else(String::new, |(subject, flips)| {
@@ -297,19 +256,13 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
                 false => format!("without a placebo (`--levels L0,{level}`)"),
             };
             format!(
-                "At {level}, the simultaneous outcome of {r_d} % of configurations is not the one \
-                 that the single axes imply; how many of them differ by chance is unknown \
+                "At {level}, the simultaneous outcome of {r_d} % of {n} configurations is not the \
+                 one that the single axes imply; how many of them differ by chance is unknown \
                  {cause}.{bound}"
             )
         }
     };
-    Some(Finding {
-        kind: FindingKind::Simultaneity,
-        level: Some(level),
-        claims,
-        holm_p: Some(p),
-        sentence,
-    })
+    Some(Finding { kind: FindingKind::Simultaneity, level, claims, holm_p: Some(p), sentence })
 }
 
 /// Returns the share of nearly identical rollouts that end differently, with the beginning of
@@ -334,7 +287,7 @@ fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
     let [low, high] = test.range();
     (p < FINDING_ALPHA).then(|| Finding {
         kind: FindingKind::Directions,
-        level: Some(cell.level),
+        level: cell.level,
         claims: true,
         holm_p: Some(p),
         sentence: format!(
@@ -359,8 +312,6 @@ fn interval_of_new_tasks(estimate: &Estimate) -> String {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FindingKind {
-    /// Success, nominal and simultaneous.
-    Success,
     /// Cost of single axes.
     Cost,
     /// Change by simultaneity beyond chance.
@@ -373,8 +324,7 @@ pub enum FindingKind {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
     pub kind: FindingKind,
-    /// Level of the finding; absent for [`FindingKind::Success`], which covers all levels.
-    pub level: Option<Level>,
+    pub level: Level,
     /// True if the sentence claims an effect.
     pub claims: bool,
     /// The corrected p-value behind the sentence, or the smallest of several; absent if no test is

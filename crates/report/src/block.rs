@@ -12,6 +12,8 @@ use crate::words::minus_signs;
 
 /// Columns of a terminal.
 pub(crate) const WIDTH: usize = 80;
+/// Hexadecimal digits of a digest.
+const SHA256: usize = 64;
 
 /// Appends a paragraph whose first line follows `prefix`, and whose further lines align with it.
 pub(crate) fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
@@ -33,6 +35,8 @@ pub(crate) enum Block<'a> {
     Table(Table),
     /// A table that the page folds.
     Folded(Table),
+    /// Names, each with its words.
+    Terms(Vec<(String, String)>),
     /// A part of the page alone, such as a figure.
     Html(Box<dyn Fn() -> Markup + 'a>),
 }
@@ -42,7 +46,7 @@ impl Block<'_> {
         match self {
             Self::Table(table) | Self::Folded(table) => !table.rows.is_empty(),
             Self::Html(part) => !part().0.is_empty(),
-            Self::Heading(_) | Self::Paragraph(_) => true,
+            Self::Heading(_) | Self::Paragraph(_) | Self::Terms(_) => true,
         }
     }
 }
@@ -230,7 +234,7 @@ impl Table {
                         tbody {
                             @for row in &self.rows {
                                 tr {
-                                    th scope="row" { (row[0].html()) }
+                                    th scope="row" { div { (row[0].html()) } }
                                     @for (value, column) in row.iter().zip(&self.columns).skip(1) {
                                         td class=[class(column)] { (value.html()) }
                                     }
@@ -414,6 +418,10 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
                 part
             }
             Block::Table(table) | Block::Folded(table) => table.text(),
+            Block::Terms(terms) => {
+                let terms = terms.iter().map(|(name, words)| (name.as_str(), words.as_str()));
+                terms_text(&terms.collect::<Vec<_>>(), WIDTH - SHA256 - 2)
+            }
             Block::Html(_) => continue,
         };
         let is_prose = matches!(block, Block::Paragraph(_));
@@ -423,16 +431,33 @@ pub(crate) fn text<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>) 
         follows_prose = is_prose;
         text.push_str(&part);
     }
-    let legend = legend(blocks);
-    let width = legend.iter().map(|(symbol, _)| symbol.chars().count()).max();
-    if let Some(width) = width {
+    let legend = terms_text(&legend(blocks), WIDTH);
+    if !legend.is_empty() {
         text.push('\n');
-        for (symbol, meaning) in legend {
-            let prefix = format!("{:<width$}  ", symbol);
-            push_wrapped(&mut text, &prefix, meaning);
-        }
+        text.push_str(&legend);
     }
     text.replace('−', "-")
+}
+
+/// Appends blocks, below an empty line unless the text is empty.
+pub(crate) fn push_text<'a, 'b: 'a>(
+    text: &mut String,
+    blocks: impl IntoIterator<Item = &'a Block<'b>>,
+) {
+    if !text.is_empty() && !text.ends_with("\n\n") {
+        text.push('\n');
+    }
+    text.push_str(&self::text(blocks));
+}
+
+/// Writes names, each with its words beside it, in a column that begins after `most` letters or before.
+fn terms_text(terms: &[(&str, &str)], most: usize) -> String {
+    let width = terms.iter().map(|(name, _)| name.chars().count()).max();
+    let width = width.unwrap_or_default().min(most);
+    let lines = terms.iter().map(|(name, words)| {
+        terminal::wrapped(&format!("{name:<width$}  "), width + 2, words) + "\n"
+    });
+    lines.collect()
 }
 
 /// Returns the meanings in all tables, each once.
@@ -486,6 +511,9 @@ pub(crate) fn blocks_html(blocks: &[Block<'_>]) -> Markup {
                 Block::Paragraph(words) => p { (in_code(&minus_signs(words))) },
                 Block::Table(table) => (table.html()),
                 Block::Folded(table) => (table.folded()),
+                Block::Terms(terms) => {
+                    dl.methods { @for (name, words) in terms { dt { (name) } dd { (in_code(words)) } } }
+                },
                 Block::Html(part) => (part()),
             }
         }

@@ -9,6 +9,7 @@ use serde::Serialize;
 
 use crate::analysis::Analysis;
 use crate::block::{self, push_wrapped};
+use crate::document::push_warnings;
 use crate::subject::{Origin, Setups, Subject};
 use crate::warnings::{Property, look, mujoco, pack, renderer};
 
@@ -132,13 +133,8 @@ impl Comparison {
             push_wrapped(&mut text, &format!("{letter}  "), &side.description());
         }
         text.push('\n');
-        for warning in self.warnings.iter().chain(&self.notes) {
-            push_wrapped(&mut text, "! ", warning);
-        }
-        if !text.ends_with("\n\n") {
-            text.push('\n');
-        }
-        text.push_str(&block::text(&self.blocks()));
+        push_warnings(&mut text, self.warnings.iter().chain(&self.notes));
+        block::push_text(&mut text, &self.blocks());
         text
     }
 }

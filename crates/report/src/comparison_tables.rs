@@ -3,7 +3,9 @@
 use std::collections::BTreeSet;
 
 use benchmark::{Condition, Directions, Level, TaskRef};
-use paired::{ComparedCell, Difference, MeanDifference, Profile, ProgressDifference};
+use paired::{
+    ComparedCell, Difference, FINDING_ALPHA, MeanDifference, Profile, ProgressDifference,
+};
 
 use crate::block::{Block, Cell, Rows, Table, cell, or_dash};
 use crate::comparison::{Comparison, Unpairable};
@@ -53,15 +55,20 @@ fn differences(pairs: &[&Comparison]) -> Table {
             of.map_or_else(
                 || cell("–"),
                 |(_, of)| {
-                    let value = difference(of.difference, of.difference_ci95, of.no_interval);
-                    value.below(format!("p = {}", p_value(of.holm_p)))
+                    let mut value = difference(of.difference, of.difference_ci95, of.no_interval);
+                    if of.holm_p < FINDING_ALPHA {
+                        value.star();
+                    }
+                    value
                 },
             )
         });
     }
-    let meaning = "sign-flip test over tasks, corrected for the rows of the pair's own table, which \
-                   `coordinator compare A B` prints";
-    with_intervals(table.note("p", meaning), replicates, absent).table()
+    let meaning = format!(
+        "p below {FINDING_ALPHA}: sign-flip test over tasks, corrected for the rows of the pair's \
+         own table, which `coordinator compare A B` prints"
+    );
+    with_intervals(table.note("*", meaning), replicates, absent).table()
 }
 
 fn is_of_pairs(condition: Condition) -> bool {

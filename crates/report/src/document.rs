@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
-use benchmark::{Execution, JsonError, Level, Look};
+use benchmark::{Execution, JsonError, Level};
 use paired::{DuplicateRecord, Measures, Report, SuiteRow};
 use serde::Serialize;
 
@@ -145,7 +145,8 @@ impl Document {
     pub fn pairs(&self) -> String {
         let mut text = String::new();
         push_warnings(&mut text, &self.all_warnings());
-        text + "\n" + &block::text(&comparison_tables::pairs(self.comparisons()))
+        block::push_text(&mut text, &comparison_tables::pairs(self.comparisons()));
+        text
     }
 
     /// Writes success, paired measures and differences between policies as LaTeX.
@@ -223,12 +224,16 @@ impl Document {
         let several = self.analyses.len() > 1;
         let of_policies = self.analyses.iter().flat_map(|analysis| {
             let prefix = if several { format!("`{}`: ", analysis.label) } else { String::new() };
-            let quarantined = quarantined(&analysis.report.quarantined);
-            let quarantined = quarantined.filter(|_| self.family.is_none());
-            let notes = analysis.report.notes.iter().cloned().chain(quarantined);
-            notes.map(move |note| format!("{prefix}{note}"))
+            self.warnings_of(analysis).map(move |note| format!("{prefix}{note}"))
         });
         self.warnings.iter().cloned().chain(of_policies).collect()
+    }
+
+    /// Returns the warnings about the outcomes of a policy, and about its quarantined rollouts.
+    fn warnings_of(&self, analysis: &Analysis) -> impl Iterator<Item = String> + use<> {
+        let quarantined = quarantined(&analysis.report.quarantined);
+        let quarantined = quarantined.filter(|_| self.family.is_none());
+        analysis.report.notes.clone().into_iter().chain(quarantined)
     }
 
     /// Writes a short report for a terminal of 80 columns: success by condition, and
@@ -242,20 +247,15 @@ impl Document {
         }
         push_warnings(&mut text, &self.warnings);
         for analysis in &self.analyses {
-            if !text.is_empty() {
-                text.push('\n');
-            }
             text.push_str(&title(&analysis.subject));
-            push_warnings(&mut text, &analysis.report.notes);
+            push_warnings(&mut text, &self.warnings_of(analysis).collect::<Vec<_>>());
             let derived = analysis.derived(None);
             if !derived.is_empty() {
-                text.push('\n');
-                text.push_str(&block::text(derived.iter().flat_map(|section| &section.blocks)));
+                block::push_text(&mut text, derived.iter().flat_map(|section| &section.blocks));
             }
         }
         if self.analyses.iter().any(Analysis::is_paired) {
-            text.push('\n');
-            text.push_str(&block::text(&page::overview(self, false)));
+            block::push_text(&mut text, &page::overview(self, false));
             text.push('\n');
             push_wrapped(
                 &mut text,
@@ -272,21 +272,16 @@ impl Document {
         let mut text = String::new();
         push_warnings(&mut text, &self.warnings);
         for analysis in &self.analyses {
-            if !text.is_empty() {
-                text.push('\n');
-            }
-            text.push_str(&head(&analysis.subject));
+            text.push_str(&title(&analysis.subject));
         }
         text.push('\n');
         push_warnings(&mut text, &self.all_warnings()[self.warnings.len()..]);
-        if !text.ends_with("\n\n") {
-            text.push('\n');
-        }
         let title = self.family.as_ref().map(|family| Block::Heading(family.heading()));
         let sections = page::of_document(self, None);
         let sections = sections.open.iter().chain(&sections.folded);
         let blocks = sections.flat_map(|section| &section.blocks);
-        text + &block::text(title.iter().chain(blocks))
+        block::push_text(&mut text, title.iter().chain(blocks));
+        text
     }
 }
 
@@ -307,9 +302,14 @@ fn quarantined(names: &[String]) -> Option<String> {
     })
 }
 
-fn push_warnings(text: &mut String, warnings: &[String]) {
+/// Appends warnings, and an empty line below them.
+pub(crate) fn push_warnings<'a>(text: &mut String, warnings: impl IntoIterator<Item = &'a String>) {
+    let length = text.len();
     for warning in warnings {
         push_wrapped(text, "! ", warning);
+    }
+    if text.len() > length {
+        text.push('\n');
     }
 }
 
@@ -347,40 +347,4 @@ fn title(subject: &Subject) -> String {
     };
     push_wrapped(&mut text, "", &line);
     text
-}
-
-/// Returns the heading of the whole report: campaign or file, policy, realisation mode and
-/// execution model.
-fn head(subject: &Subject) -> String {
-    let policy = &subject.policy;
-    let realisation = match subject.realisation {
-        Some(realisation) => realisation.name(),
-        None => "unknown",
-    };
-    let execution = match &subject.execution {
-        Execution::Wait => String::new(),
-        execution => format!("execution model {execution}\n"),
-    };
-    let looks: Vec<&str> = subject.looks().into_iter().map(Look::name).collect();
-    let look = match looks.join(" and ") {
-        looks if looks.is_empty() => looks,
-        looks => format!(", look {looks}"),
-    };
-    match &subject.origin {
-        Origin::Campaign { name, endpoint, design } => format!(
-            "campaign {name}\npolicy {policy} at {endpoint}\n\
-             design {design}, realisation {realisation}{look}\n{execution}"
-        ),
-        Origin::File { name, digest, source } => {
-            let mut head = format!("policy {policy}, results of {name}\n");
-            if !source.is_empty() {
-                push_wrapped(&mut head, "", source);
-            }
-            let digest = warnings::abbreviated_digest(digest);
-            head.push_str(&format!(
-                "SHA-256 {digest}…, realisation {realisation}{look}\n{execution}"
-            ));
-            head
-        }
-    }
 }

@@ -4,20 +4,21 @@
 
 use std::collections::BTreeMap;
 
-use benchmark::{Axis, AxisSet, Level, RolloutId};
+use benchmark::{AxisSet, Level, RolloutId};
 use paired::Bootstrap;
 use paired::adaptive::subsets::{
     CompleteLattice, Estimate, IncompleteLattice, Interactions, Lattice, LatticeError,
     configurations, own_configurations,
 };
 use serde::{Serialize, Serializer};
+use serde_json::{Value, json};
 
 use crate::block::{self, Block, Cell, Rows, Section, cell};
 use crate::page::findings::sentence;
 use crate::subject::Subject;
 use crate::words::{percent, points, points_interval};
 
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize)]
 pub struct AxisInteractions {
     pub campaign: String,
     pub policy: String,
@@ -218,86 +219,23 @@ fn interval(effect: Option<&Estimate>) -> Cell {
     cell(interval.unwrap_or_default().trim_start())
 }
 
-impl Serialize for AxisInteractions {
+/// Lists in place of maps, so that every key is a fixed field name.
+impl Serialize for LevelInteractions {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        JsonForm {
-            campaign: &self.campaign,
-            policy: &self.policy,
-            notes: &self.notes,
-            bootstrap: self.bootstrap,
-            levels: self.levels.iter().map(JsonLevel::new).collect(),
-        }
+        let Interactions { full, n, tasks, success, moebius, sizes, shapley, pairs } =
+            &self.interactions;
+        let subsets = success.iter().map(
+            |(set, success)| json!({"set": set, "success": success, "moebius": moebius.get(set)}),
+        );
+        let sizes = sizes.iter().map(|(axes, sum)| json!({"axes": axes, "moebius": sum}));
+        let shares = shapley.iter().map(|(axis, value)| json!({"axis": axis, "shapley": value}));
+        let pairs = pairs.iter().map(|(set, index)| json!({"set": set, "shapley": index}));
+        let [subsets, sizes, shares, pairs]: [Vec<Value>; 4] =
+            [subsets.collect(), sizes.collect(), shares.collect(), pairs.collect()];
+        json!({
+            "level": self.level, "axes": full, "n": n, "tasks": tasks, "left_out": self.left_out,
+            "subsets": subsets, "sizes": sizes, "shares": shares, "pairs": pairs,
+        })
         .serialize(serializer)
-    }
-}
-
-/// JSON form, with lists in place of maps so that every key is a fixed field name.
-#[derive(Serialize)]
-struct JsonForm<'a> {
-    campaign: &'a str,
-    policy: &'a str,
-    notes: &'a [String],
-    bootstrap: Bootstrap,
-    levels: Vec<JsonLevel<'a>>,
-}
-
-#[derive(Serialize)]
-struct JsonLevel<'a> {
-    level: Level,
-    axes: AxisSet,
-    n: u64,
-    tasks: u64,
-    left_out: u64,
-    subsets: Vec<JsonSubset<'a>>,
-    sizes: Vec<JsonSize<'a>>,
-    shares: Vec<JsonShare<'a>>,
-    pairs: Vec<JsonPair<'a>>,
-}
-
-#[derive(Serialize)]
-struct JsonSubset<'a> {
-    set: AxisSet,
-    success: &'a Estimate,
-    /// Null for the empty set.
-    moebius: Option<&'a Estimate>,
-}
-
-#[derive(Serialize)]
-struct JsonSize<'a> {
-    axes: usize,
-    moebius: &'a Estimate,
-}
-
-#[derive(Serialize)]
-struct JsonShare<'a> {
-    axis: Axis,
-    shapley: &'a Estimate,
-}
-
-#[derive(Serialize)]
-struct JsonPair<'a> {
-    set: AxisSet,
-    shapley: &'a Estimate,
-}
-
-impl<'a> JsonLevel<'a> {
-    fn new(level: &'a LevelInteractions) -> Self {
-        let interactions = &level.interactions;
-        let subset =
-            |(&set, success)| JsonSubset { set, success, moebius: interactions.moebius.get(&set) };
-        let size = |(&axes, moebius)| JsonSize { axes, moebius };
-        let share = |(&axis, shapley)| JsonShare { axis, shapley };
-        let pair = |(&set, shapley)| JsonPair { set, shapley };
-        Self {
-            level: level.level,
-            axes: interactions.full,
-            n: interactions.n,
-            tasks: interactions.tasks,
-            left_out: level.left_out,
-            subsets: interactions.success.iter().map(subset).collect(),
-            sizes: interactions.sizes.iter().map(size).collect(),
-            shares: interactions.shapley.iter().map(share).collect(),
-            pairs: interactions.pairs.iter().map(pair).collect(),
-        }
     }
 }

@@ -79,10 +79,7 @@ pub(crate) struct Sections<'a> {
 pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) -> Sections<'a> {
     let analyses = document.analyses.as_slice();
     let section = |title: &str, blocks| Section { title: title.to_owned(), blocks };
-    let methods = || {
-        let blocks = vec![Block::Html(Box::new(move || methods::methods(document)))];
-        section("Methods", blocks)
-    };
+    let methods = || section("Methods", methods::methods(document));
     if let Some(family) = &document.family {
         return Sections { open: vec![family.section()], folded: vec![quarantine(document)] };
     }
@@ -173,8 +170,7 @@ pub(crate) fn overview(document: &Document, with_intervals: bool) -> Vec<Block<'
     blocks.extend(finding_blocks(analyses, true));
     let several = analyses.len() > 1;
     for analysis in analyses {
-        let gates = tables::gates(&analysis.report).into_iter();
-        blocks.extend(gates.chain(tables::incomplete(&analysis.report)).map(|sentence| {
+        blocks.extend(tables::gates(&analysis.report).into_iter().map(|sentence| {
             let policy = if several { format!("{}: ", analysis.label) } else { String::new() };
             Block::Paragraph(format!("{policy}{sentence}"))
         }));
@@ -186,13 +182,13 @@ const BESIDE: &str = "Measured policies (capital letters) beside those of the pa
     simultaneous success by level; then, for each level, emergent failures against compensated \
     successes: on the line, they balance.";
 
-/// Returns a paragraph for each policy with its findings at the last level and over all, or with
-/// those at the other levels.
+/// Returns a paragraph for each policy with its findings at the last level, or with those at the
+/// other levels.
 fn finding_blocks(analyses: &[Analysis], at_last: bool) -> Vec<Block<'_>> {
     let several = analyses.len() > 1;
     let blocks = analyses.iter().filter_map(|analysis| {
         let last = analysis.report.cells.last().map(|cell| cell.level);
-        let is_last = |finding: &Finding| finding.level.is_none() || finding.level == last;
+        let is_last = |finding: &Finding| Some(finding.level) == last;
         let findings = analysis.report.findings.iter();
         let findings = findings.filter(|finding| is_last(finding) == at_last);
         let sentences: Vec<&str> = findings.map(|finding| finding.sentence.as_str()).collect();

@@ -145,7 +145,7 @@ fn differences(analysis: &Analysis) -> Vec<String> {
 pub(crate) fn table(document: &Document) -> Table {
     let rows = points(document);
     let differs = rows.iter().any(|of| !of.differs.is_empty());
-    let mut table = Rows::new(format!("Beside the paper's policies, %. {}", PAPER.source), rows)
+    let mut table = Rows::new("Beside the paper's policies, %", rows)
         .key("policy", |of| cell(&of.policy))
         .key("level", |of| cell(of.level))
         .column("nominal", "", "", |of| or_dash(of.nominal.map(percent)));
@@ -158,5 +158,6 @@ pub(crate) fn table(document: &Document) -> Table {
         .column("R_e", "", "", |of| cell(percent(of.r_e)))
         .column("R_c", "", "", |of| cell(percent(of.r_c)))
         .when(differs, |rows| rows.words("differs in", |of| cell(&of.differs)))
+        .note("(paper)", &PAPER.source)
         .table()
 }

@@ -106,7 +106,7 @@ impl Sequential {
             let [[low, high], [least, most]] = [*success?, *net?].map(|ends| ends.map(percent));
             Some(Finding {
                 kind: FindingKind::Simultaneity,
-                level: Some(level),
+                level,
                 claims: false,
                 holm_p: None,
                 sentence: format!(

@@ -12,7 +12,6 @@ use paired::{
 use crate::analysis::Analysis;
 use crate::block::{Cell, Rows, Table, cell, or_dash};
 use crate::sequential::Sequential;
-use crate::subject::agree;
 use crate::words::{p_value, percent, points, points_interval, rate_interval};
 
 /// A row: an analysis, one of its levels, and what the table is about.
@@ -334,24 +333,6 @@ pub(crate) fn tasks(analysis: &Analysis) -> Table {
         .column("success", "%", "", |row| or_dash(row.count.rate().map(percent)))
         .column("counts", "", "", |row| cell(format!("{}/{}", row.count.successes, row.count.n)))
         .table()
-}
-
-/// Returns the sentence about rollouts without an outcome; `None` if there are none.
-pub(crate) fn incomplete(report: &Report) -> Option<String> {
-    let mut gaps: Vec<_> = report.nominal.iter().map(|nominal| nominal.gap).collect();
-    gaps.extend(report.cells.iter().flat_map(|cell| cell.completeness.gaps.values().copied()));
-    let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();
-    let quarantined: u64 = gaps.iter().map(|gap| gap.quarantined).sum();
-    let parts = [
-        (missing, ["has", "have"], "no outcome yet"),
-        (quarantined, ["is", "are"], "in quarantine"),
-    ];
-    let parts = parts.into_iter().filter(|(count, ..)| *count > 0);
-    let parts = parts.map(|(count, [singular, plural], state)| {
-        format!("{count} {} {state}", agree(count, singular, plural))
-    });
-    let parts: Vec<String> = parts.collect();
-    (!parts.is_empty()).then(|| format!("Of the rollouts, {}.", parts.join(" and ")))
 }
 
 /// Describes the verdicts of the gates over all suites and for single suites.

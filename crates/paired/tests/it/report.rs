@@ -355,10 +355,10 @@ fn one_axis_alone_has_rates_and_no_paired_measures() {
     assert_eq!(cell.alone[&Axis::Camera].nominal_relative_loss, Some(1.0));
 }
 
-/// Three seeds whose simultaneous rollouts succeed 14, 7 and 8 times in 20: the headline is 48.3 %
-/// of all 60, and the interval is no narrower for counting a task's seeds as one.
+/// Three seeds whose simultaneous rollouts succeed 14, 7 and 8 times in 20: the rate is that of all
+/// 60, and the interval is no narrower for counting a task's seeds as one.
 #[test]
-fn every_headline_pools_the_replicates_and_lists_the_seeds() {
+fn every_rate_pools_the_replicates() {
     let campaign_of = |replicate: u32, successes: usize| {
         let rows = (0..20).map(|index| [S, S, S, if index < successes { S } else { F }]);
         let records = campaign_of_tasks(&rows.collect::<Vec<_>>(), 4);
@@ -371,9 +371,6 @@ fn every_headline_pools_the_replicates_and_lists_the_seeds() {
     assert_eq!(cell.simultaneous, Some(Count { successes: 29, n: 60 }));
     let by_seed: Vec<u64> = cell.by_replicate.values().map(|count| count.successes).collect();
     assert_eq!(by_seed, [14, 7, 8]);
-    let seeds = "(mean of 3 seeds: 70.0, 35.0 and 40.0)";
-    let finding = &report.findings[0].sentence;
-    assert!(finding.contains("48.3 %") && finding.contains(seeds), "{finding}");
     // The same outcomes in every replicate tell nothing more than once.
     let once: Vec<Record> = campaign_of(0, 7).collect();
     let twice: Vec<Record> = (0..2).flat_map(|k| campaign_of(k, 7)).collect();
@@ -395,9 +392,7 @@ fn no_finding_compares_nothing_with_nothing_or_generalises_from_few_tasks() {
     for (outcomes, tasks) in [([F, F, F, F], 6), ([S, F, F, F], 3)] {
         let records = campaign_of_tasks(&vec![outcomes; 2 * tasks], 2);
         let report = report(&records, &Options::default()).expect("no duplicates");
-        let findings: Vec<&str> =
-            report.findings.iter().map(|finding| finding.sentence.as_str()).collect();
-        assert_eq!(findings.len(), 1, "only the rates: {findings:?}");
+        assert!(report.findings.is_empty(), "{:?}", report.findings);
     }
 }
 

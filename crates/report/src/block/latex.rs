@@ -2,7 +2,7 @@
 
 use super::{Block, Cell, Kind, Table};
 
-/// Most columns of a table that is not turned, unless it has even more rows.
+/// Most columns of a table that stands upright.
 const MOST_COLUMNS: usize = 13;
 /// Shrinks a table that is wider than the text.
 const FITTING: &str = "\\resizebox{\\ifdim\\width>\\linewidth\\linewidth\\else\\width\\fi}{!}";
@@ -13,14 +13,15 @@ pub(crate) fn latex<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>)
         Block::Heading(words) => Some(format!("\\paragraph{{{}}}\n", escaped(words))),
         Block::Paragraph(words) => Some(format!("{}\n", escaped(words))),
         Block::Table(table) | Block::Folded(table) if !table.rows.is_empty() => Some(table.latex()),
-        Block::Table(_) | Block::Folded(_) | Block::Html(_) => None,
+        Block::Table(_) | Block::Folded(_) | Block::Terms(_) | Block::Html(_) => None,
     });
     let parts: Vec<String> = parts.collect();
-    format!("% Needs \\usepackage{{booktabs,graphicx}}.\n\n{}", parts.join("\n"))
+    format!("% Needs \\usepackage{{booktabs,graphicx,rotating}}.\n\n{}", parts.join("\n"))
 }
 
 impl Table {
-    /// Writes the table; one of many columns and few rows gets a column per record.
+    /// Writes the table; one of many columns gets a column per record if these are few, or else lies on
+    /// its side.
     fn latex(&self) -> String {
         let records: Vec<Vec<Vec<String>>> =
             self.rows.iter().map(|row| row.iter().map(Cell::lines).collect()).collect();
@@ -33,6 +34,8 @@ impl Table {
             }
         };
         let heads = if is_turned { self.keys() } else { 1 };
+        let is_wide = self.columns.len() > MOST_COLUMNS && !is_turned;
+        let float = if is_wide { "sidewaystable" } else { "table" };
         let columns: String = match is_turned {
             true => format!("l{}", "r".repeat(self.rows.len())),
             false => {
@@ -54,8 +57,8 @@ impl Table {
         let rows: String = rows.collect();
         let notes = self.meanings().map(|(symbol, meaning)| format!(" {symbol}: {meaning}."));
         format!(
-            "\\begin{{table}}\n\\centering\n\\caption{{{}.{}}}\n{FITTING}{{%\n\\begin{{tabular}}{{{columns}}}\n\
-             \\toprule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\\end{{table}}\n",
+            "\\begin{{{float}}}\n\\centering\n\\caption{{{}.{}}}\n{FITTING}{{%\n\\begin{{tabular}}{{{columns}}}\n\
+             \\toprule\n{rows}\\bottomrule\n\\end{{tabular}}}}\n\\end{{{float}}}\n",
             escaped(&self.name),
             escaped(&notes.collect::<String>()),
         )

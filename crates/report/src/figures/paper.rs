@@ -8,7 +8,9 @@ use benchmark::Level;
 use maud::{Markup, html};
 use paired::Interval;
 
-use super::svg::{AXIS, HEAD, MARGIN, Scale, end_and_step, line, percent_ticks, text, whisker};
+use super::svg::{
+    AXIS, HEAD, MARGIN, Scale, end_and_step, line, number, percent_ticks, text, whisker,
+};
 use super::{Figure, WIDTH};
 use crate::block::in_lines;
 use crate::document::Document;
@@ -20,8 +22,8 @@ const PLOT_HEIGHT: f64 = 260.0;
 const LINE_HEIGHT: f64 = 16.0;
 /// Characters of a line of the legend.
 const LEGEND_CHARACTERS: usize = 58;
-/// Distance between the letters of published policies at a level.
-const PITCH: f64 = 10.0;
+/// Smallest distances of a letter from a point and from another letter, across and down.
+const LETTER: [f64; 2] = [9.0, 12.5];
 
 /// A plot of shares of up to `end` against another quantity.
 struct Plot<'a> {
@@ -39,14 +41,42 @@ impl Plot<'_> {
         line("whisker", [x, self.y(low)], [x, self.y(high)])
     }
 
-    fn mark(&self, point: &Point, [x, y]: [f64; 2]) -> Markup {
-        let class = if point.is_published { "small muted middle" } else { "name middle" };
+    /// Draws a policy's point, and its letter around a place.
+    fn mark(&self, point: &Point, [x, y]: [f64; 2], letter: [f64; 2]) -> Markup {
+        let (dot, class) = match point.is_published {
+            true => ("open", "small muted middle"),
+            false => ("mark", "name middle"),
+        };
         html! {
             g {
                 title { (point.policy) }
-                (text(x, y + 4.5, class, &point.letter.to_string()))
+                circle class=(dot) cx=(number(x)) cy=(number(y)) r="3" {}
+                (text(letter[0], letter[1] + 4.5, class, &point.letter.to_string()))
             }
         }
+    }
+
+    /// Finds a place for the letter of each point, where it hides neither a point nor another letter.
+    fn letters(&self, points: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let mut taken = points.to_vec();
+        for [x, y] in points {
+            let around = (1..=8).flat_map(|ring| {
+                let [dx, dy] = LETTER.map(|distance| distance * f64::from(ring));
+                let steps = [[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]];
+                let corners = [[1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]];
+                let places = steps.into_iter().chain(corners);
+                places.map(move |[right, down]| [x + dx * right, y + dy * down])
+            });
+            let is_free = |[x, y]: &[f64; 2]| {
+                let hides =
+                    |[a, b]: &[f64; 2]| (a - x).abs() < LETTER[0] && (b - y).abs() < LETTER[1];
+                let is_inside = *x > LABEL_WIDTH && *x < WIDTH && *y > HEAD;
+                is_inside && *y < HEAD + PLOT_HEIGHT && !taken.iter().any(hides)
+            };
+            let place = around.into_iter().find(is_free).unwrap_or([*x, *y]);
+            taken.push(place);
+        }
+        taken.split_off(points.len())
     }
 
     /// Adds axes and legend.
@@ -65,7 +95,7 @@ impl Plot<'_> {
                 names.push(name);
             }
         }
-        let legend = in_lines(&names.join(" "), LEGEND_CHARACTERS);
+        let legend = in_lines(&names.join(", "), LEGEND_CHARACTERS);
         let body = html! {
             (text(0.0, 15.0, "head", head))
             (text(WIDTH, 15.0, "small muted end", aside))
@@ -88,20 +118,26 @@ impl Plot<'_> {
 pub fn by_level(document: &Document) -> Option<Figure> {
     let points = points(document);
     let levels: BTreeSet<Level> = points.iter().map(|point| point.level).collect();
-    let place = |level: &Level| levels.range(..level).count() as f64;
-    let columns: Vec<_> = levels.iter().map(|level| (place(level), level.to_string())).collect();
-    let domain = [-0.2, place(levels.last()?) + 0.8];
-    let x = Scale::between(domain, [LABEL_WIDTH, WIDTH - MARGIN]);
+    levels.last()?;
+    // Each policy has a place of its own within a level.
+    let mut letters: Vec<char> = points.iter().map(|point| point.letter).collect();
+    letters.dedup();
+    let pitch = 1.0 / (letters.len() as f64 + 1.0);
+    let x = Scale::between([0.0, levels.len() as f64], [LABEL_WIDTH, WIDTH - MARGIN]);
+    let columns: Vec<_> = (0..=levels.len()).map(|end| (end as f64, String::new())).collect();
     let plot = Plot { points: &points, x, end: 1.0 };
     let body = html! {
+        @for (index, level) in levels.iter().enumerate() {
+            @let middle = x.at(index as f64 + 0.5);
+            (text(middle, HEAD + PLOT_HEIGHT + 14.0, "tiny muted middle", &level.to_string()))
+        }
         @for point in &points {
-            @let column = x.at(place(&point.level));
+            @let level = levels.range(..point.level).count() as f64;
+            @let place = letters.iter().take_while(|letter| **letter != point.letter).count();
+            @let column = x.at(level + pitch * (place as f64 + 1.0));
             @if let Some(interval) = point.intervals[0] { (plot.vertical(column, interval)) }
-            @let shift = match point.is_published {
-                true => PITCH * (2.0 + f64::from(u32::from(point.letter) - u32::from('a'))),
-                false => 0.0,
-            };
-            (plot.mark(point, [column + shift, plot.y(point.s_sim)]))
+            @let top = plot.y(point.intervals[0].map_or(point.s_sim, |[_, high]| high));
+            (plot.mark(point, [column, plot.y(point.s_sim)], [column, top - LETTER[1]]))
         }
     };
     let title = "Simultaneous success by level, measured and published";
@@ -114,24 +150,26 @@ pub fn by_level(document: &Document) -> Option<Figure> {
 /// as in the paper.
 pub fn changes(document: &Document, level: Level) -> Option<Figure> {
     let mut points = points(document);
+    points.retain(|point| point.level == level);
+    points.iter().find(|point| !point.is_published)?;
     let high = |interval: Option<Interval>| interval.map_or(0.0, |[_, high]| high);
     let ends = points.iter().flat_map(|point| {
         let [_, r_e, r_c] = point.intervals;
         [point.r_e, point.r_c, high(r_e), high(r_c)]
     });
     let (end, step) = end_and_step(ends.fold(0.01, f64::max), 6.0);
-    points.retain(|point| point.level == level);
-    points.iter().find(|point| !point.is_published)?;
     let x = Scale::between([0.0, end], [LABEL_WIDTH, WIDTH - MARGIN]);
     let plot = Plot { points: &points, x, end };
+    let places = points.iter().map(|point| [x.at(point.r_c), plot.y(point.r_e)]);
+    let places: Vec<[f64; 2]> = places.collect();
     let body = html! {
         (line("zero", [x.at(0.0), plot.y(0.0)], [x.at(end), plot.y(end)]))
-        @for point in &points {
-            @let [column, row] = [x.at(point.r_c), plot.y(point.r_e)];
+        @for ((point, &[column, row]), letter) in points.iter().zip(&places).zip(plot.letters(&places)) {
             @let [_, r_e, r_c] = point.intervals;
+            (line("grid", [column, row], letter))
             @if let Some(interval) = r_e { (plot.vertical(column, interval)) }
             @if let Some(interval) = r_c { (whisker(&x, interval, row)) }
-            (plot.mark(point, [column, row]))
+            (plot.mark(point, [column, row], letter))
         }
     };
     let title = format!("Emergent failures against compensated successes at {level}");
