@@ -15,7 +15,7 @@ use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, View};
 use serde::Serialize;
-use tokio_stream::StreamExt;
+use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
 
@@ -28,8 +28,8 @@ use crate::export;
 use crate::report;
 use crate::storage::Storage;
 
-/// Size of each message of a report, bytes.
-const REPORT_PART_BYTES: usize = 1 << 20;
+/// Size of each message of a report or a specification, bytes.
+const PART_BYTES: usize = 1 << 20;
 
 /// Operator service of a queue.
 #[derive(Debug)]
@@ -62,6 +62,7 @@ impl OperatorApi {
 #[tonic::async_trait]
 impl OperatorService for OperatorApi {
     type ArchiveCampaignStream = Large<wire::ArchiveChunk>;
+    type GetSpecificationStream = Large<wire::ReportPart>;
     type BackupStream = Large<wire::BackupChunk>;
     type ReportStream = Large<wire::ReportPart>;
     type ExportStream = Large<wire::ExportLine>;
@@ -109,9 +110,17 @@ impl OperatorService for OperatorApi {
 
     async fn get_campaign(&self, request: Request<GetCampaignRequest>) -> Answer<wire::Answer> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
+        answer(view.now, &view.status(campaign).await.map_err(failed)?)
+    }
+
+    async fn get_specification(
+        &self,
+        request: Request<GetCampaignRequest>,
+    ) -> Result<Response<Self::GetSpecificationStream>, Status> {
+        let turn = self.turns.wait().await?;
+        let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let spec = view.current_spec(&campaign).await.map_err(failed)?;
-        let status = view.status(campaign).await.map_err(failed)?;
-        answer(view.now, &(status, spec))
+        Ok(Response::new(turn.send(parts(spec.into_bytes()))))
     }
 
     async fn change_campaign(
@@ -201,11 +210,7 @@ impl OperatorService for OperatorApi {
         let json = tokio::task::spawn_blocking(move || serde_json::to_vec(&subject)).await;
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
-        let parts = (0..json.len()).step_by(REPORT_PART_BYTES).map(move |start| {
-            let end = json.len().min(start + REPORT_PART_BYTES);
-            Ok(wire::ReportPart { json: json[start..end].to_vec() })
-        });
-        Ok(Response::new(turn.send(tokio_stream::iter(parts))))
+        Ok(Response::new(turn.send(parts(json))))
     }
 
     async fn export(
@@ -268,6 +273,14 @@ fn answer(now: UnixMillis, value: &impl Serialize) -> Answer<wire::Answer> {
     let json = serde_json::to_string(value);
     let json = json.map_err(|error| Status::internal(error.to_string()))?;
     Ok(Response::new(wire::Answer { json, now_unix_ms: now.0 }))
+}
+
+/// Divides JSON into messages.
+fn parts(json: Vec<u8>) -> impl Stream<Item = Result<wire::ReportPart, Status>> {
+    tokio_stream::iter((0..json.len()).step_by(PART_BYTES).map(move |start| {
+        let end = json.len().min(start + PART_BYTES);
+        Ok(wire::ReportPart { json: json[start..end].to_vec() })
+    }))
 }
 
 pub(super) fn campaign_name(name: &str) -> Result<CampaignName, Status> {
