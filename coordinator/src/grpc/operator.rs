@@ -21,7 +21,7 @@ use transport::chain;
 
 use super::backup;
 use super::detached::Detached;
-use super::failure::{Answer, failed, invalid};
+use super::failure::{Answer, check_room, failed, invalid};
 use super::streams::{Large, Turns};
 use super::{moving, read};
 use crate::export;
@@ -30,6 +30,11 @@ use crate::storage::Storage;
 
 /// Size of each message of a report or a specification, bytes.
 const PART_BYTES: usize = 1 << 20;
+
+/// Space that a job takes in the database, bytes, rounded up, and the space that a campaign may take
+/// while the disk is nearly full.
+const JOB_BYTES: u64 = 1 << 10;
+const SMALL_BYTES: u64 = 1 << 20;
 
 /// Operator service of a queue.
 #[derive(Debug)]
@@ -47,6 +52,19 @@ pub(super) struct OperatorApi {
 impl OperatorApi {
     async fn view(&self) -> Result<View, Status> {
         self.queue.view().await.map_err(failed)
+    }
+
+    /// Expands a specification, and checks that a large campaign leaves room for results.
+    async fn expand(&self, spec: String) -> Result<NewCampaign, Status> {
+        let expanded = tokio::task::spawn_blocking(move || NewCampaign::from_json(&spec)).await;
+        let expanded = expanded.map_err(|error| Status::internal(error.to_string()))?;
+        let campaign = expanded.map_err(|error| invalid(chain(&error)))?;
+        let bytes = campaign.jobs.len() as u64 * JOB_BYTES;
+        if bytes > SMALL_BYTES {
+            let needed = self.min_free_bytes.saturating_add(bytes);
+            check_room(self.queue.store().folder(), needed, "add the campaign's rollouts")?;
+        }
+        Ok(campaign)
     }
 
     /// Looks a campaign up by name. The caller reads all further data of its response from the
@@ -72,11 +90,8 @@ impl OperatorService for OperatorApi {
         request: Request<CreateCampaignRequest>,
     ) -> Answer<wire::Answer> {
         let request = request.into_inner();
-        let campaign = NewCampaign::from_json(&request.spec);
-        let campaign = NewCampaign {
-            priority: read::priority(request.priority)?,
-            ..campaign.map_err(|error| invalid(chain(&error)))?
-        };
+        let priority = read::priority(request.priority)?;
+        let campaign = NewCampaign { priority, ..self.expand(request.spec).await? };
         let queue = self.queue.clone();
         let created = async move { queue.create_campaign(&campaign).await };
         answer(self.queue.now(), &self.changes.run(created).await?.map_err(failed)?)
@@ -90,9 +105,9 @@ impl OperatorService for OperatorApi {
             return Err(invalid("append to a campaign: give rows or a specification, not both"));
         }
         let rows = read::rows(request.rows)?;
-        let extended = match request.spec.as_str() {
-            "" => None,
-            spec => Some(NewCampaign::from_json(spec).map_err(|error| invalid(chain(&error)))?),
+        let extended = match request.spec.is_empty() {
+            true => None,
+            false => Some(self.expand(request.spec).await?),
         };
         let appended = async move {
             match extended {

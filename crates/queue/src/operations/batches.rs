@@ -157,6 +157,25 @@ pub(super) mod tests {
         sqlx::query_scalar(sql).fetch_one(&mut *view).await.expect("a count")
     }
 
+    #[tokio::test]
+    async fn a_full_disk_is_named_with_its_remedy_and_keeps_no_part_of_a_campaign() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let queue = start(folder.path()).await;
+        for (pages, created) in [("1", false), ("1000000", true)] {
+            let mut context = Context::begin(&queue.shared, vec![]).await.expect("begun");
+            let limit = format!("PRAGMA max_page_count = {pages}");
+            let limit = sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut *context.tx);
+            limit.await.expect("a limit");
+            drop(context);
+            let result = queue.create_campaign(&large_campaign(3)).await;
+            assert_eq!(result.is_ok(), created, "{result:?}");
+            if let Err(error) = result {
+                assert!(error.to_string().contains("is full; make room there"), "{error}");
+                assert_eq!(count(&queue, "SELECT count(*) FROM campaign").await, 0);
+            }
+        }
+    }
+
     /// Regression: creating or deleting a campaign was one transaction of the only writer, which
     /// made every worker wait.
     #[tokio::test(flavor = "multi_thread")]
