@@ -11,9 +11,10 @@ pub(crate) const LOG_IN: &str = "/login";
 /// Path prefix of the worker service's calls.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
 /// Calls of the operator service that viewers may make, too. They change nothing.
-const READ_ONLY_CALLS: [&str; 8] = [
+const READ_ONLY_CALLS: [&str; 9] = [
     "/rollout.coordinator.v1.OperatorService/ListCampaigns",
     "/rollout.coordinator.v1.OperatorService/GetCampaign",
+    "/rollout.coordinator.v1.OperatorService/GetSpecification",
     "/rollout.coordinator.v1.OperatorService/ListJobs",
     "/rollout.coordinator.v1.OperatorService/GetJob",
     "/rollout.coordinator.v1.OperatorService/ListWorkers",

@@ -3,7 +3,7 @@
 
 use std::time::Duration;
 
-use benchmark::JsonError;
+use benchmark::{CampaignSpec, JsonError};
 use proto::coordinator as wire;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use queue::clock::UnixMillis;
@@ -76,19 +76,28 @@ impl Client {
         self.ask(wire::ListCampaignsRequest {}, Service::list_campaigns).await
     }
 
-    /// Returns a campaign's status and its specification, JSON.
-    pub async fn campaign(&self, name: &str) -> Result<(CampaignStatus, String), ClientError> {
+    pub async fn campaign_status(&self, name: &str) -> Result<CampaignStatus, ClientError> {
         let request = wire::GetCampaignRequest { campaign: name.to_owned() };
         self.ask(request, Service::get_campaign).await
     }
 
-    pub async fn campaign_status(&self, name: &str) -> Result<CampaignStatus, ClientError> {
-        Ok(self.campaign(name).await?.0)
+    pub async fn specification(&self, name: &str) -> Result<CampaignSpec, ClientError> {
+        let request = wire::GetCampaignRequest { campaign: name.to_owned() };
+        self.collect(request, Service::get_specification).await
     }
 
     pub async fn report(&self, name: &str) -> Result<Subject, ClientError> {
         let request = wire::ReportRequest { campaign: name.to_owned() };
-        let mut parts = self.call(request, Service::report).await?;
+        self.collect(request, Service::report).await
+    }
+
+    /// Sends a request like [`Self::call`], and reads the value that the answer's parts form.
+    async fn collect<Q: Clone, T: DeserializeOwned>(
+        &self,
+        request: Q,
+        send: impl AsyncFn(&mut Service, Q) -> Result<Response<Streaming<wire::ReportPart>>, Status>,
+    ) -> Result<T, ClientError> {
+        let mut parts = self.call(request, send).await?;
         let mut json = Vec::new();
         while let Some(part) = self.next(&mut parts).await? {
             json.extend(part.json);

@@ -43,11 +43,13 @@ class Campaign:
 
     def status(self) -> Status:
         """Returns the campaign's status. Raises CoordinatorError, as all methods do."""
-        return Status.of(self._connection.campaign(self._name)[0])
+        return Status.of(self._connection.campaign(self._name))
 
     def spec(self) -> dict[str, Any]:
         """Returns the campaign's specification, as `Client.create` takes it."""
-        spec: dict[str, Any] = json.loads(self._connection.campaign(self._name)[1])
+        request = wire.GetCampaignRequest(campaign=self._name)
+        parts = self._connection.collect("GetSpecification", request)
+        spec: dict[str, Any] = json.loads(b"".join(part.json for part in parts))
         return spec
 
     def follow(self, every: float = 2.0) -> Iterator[Status]:

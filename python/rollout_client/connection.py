@@ -54,10 +54,10 @@ class Connection:
         """Closes the connection. Later calls fail."""
         self._channel.close()
 
-    def campaign(self, name: str) -> tuple[dict[str, Any], str]:
-        """Returns a campaign's status and its specification, JSON."""
-        status, spec = self.call("GetCampaign", wire.GetCampaignRequest(campaign=name))
-        return status, spec
+    def campaign(self, name: str) -> dict[str, Any]:
+        """Returns a campaign's status."""
+        status: dict[str, Any] = self.call("GetCampaign", wire.GetCampaignRequest(campaign=name))
+        return status
 
     def call(self, name: str, request: object) -> Any:
         """Calls a method until the coordinator answers, the time for retries is over, or a retry

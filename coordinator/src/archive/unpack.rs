@@ -16,7 +16,7 @@ use tar::{Archive, Entries, Entry, EntryType};
 use super::computed::{self, PROVENANCE, REPORT, SPECIFICATION};
 use super::pack::{CopyError, copy_digesting};
 use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
-use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
+use crate::disk::Room;
 
 /// Largest table of contents, bytes: enough for three hundred thousand films.
 const MAX_CONTENTS_BYTES: u64 = 64 << 20;
@@ -48,9 +48,15 @@ type Members<'a> = Entries<'a, Compressed>;
 /// version of the format, the specification's digest, all rows and invariants, and that report and
 /// provenance follow from the rows. `name` is the file's name in messages. After an
 /// error, the members unpacked so far remain in `into`.
-pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
+pub async fn unpack(
+    file: &Path,
+    name: &str,
+    into: &Path,
+    min_free_bytes: u64,
+) -> Result<Unpacked, ArchiveError> {
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
-    let read = move || ArchiveReader { archive: &archive }.unpack_members(&path, &folder);
+    let read =
+        move || ArchiveReader { archive: &archive, min_free_bytes }.unpack_members(&path, &folder);
     let read = tokio::task::spawn_blocking(read).await;
     let contents = read.map_err(|_| ArchiveError::Panicked { archive: name.to_owned() })??;
     let archive = || name.to_owned();
@@ -93,6 +99,8 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
 /// Reader of one archive; `archive` is its name in messages.
 struct ArchiveReader<'a> {
     archive: &'a str,
+    /// Space that the archive must leave free.
+    min_free_bytes: u64,
 }
 
 impl ArchiveReader<'_> {
@@ -215,7 +223,7 @@ impl ArchiveReader<'_> {
         let rows = contents.members.iter().filter(|member| member.name == ROLLOUTS_FILE);
         let copied =
             rows.fold(0, |sum: u64, rows| sum.saturating_add(rows.bytes.saturating_mul(2)));
-        let needed = total.saturating_add(copied).saturating_add(DEFAULT_MIN_FREE_MIB << 20);
+        let needed = total.saturating_add(copied).saturating_add(self.min_free_bytes);
         let room = Room::measure(into, needed);
         match room.free_bytes < needed {
             true => Err(ArchiveError::NoRoom {
@@ -348,7 +356,9 @@ mod tests {
         let written = write(&folder.path().join("film.mp4"), unreadable);
         let archive = "first.tar.gz";
         let error = match written {
-            Err(CopyError::Read(error)) => ArchiveReader { archive }.read_error("film.mp4", error),
+            Err(CopyError::Read(error)) => {
+                ArchiveReader { archive, min_free_bytes: 0 }.read_error("film.mp4", error)
+            }
             other => panic!("{other:?}"),
         };
         assert!(matches!(error, ArchiveError::Read { .. }), "{error}");

@@ -14,7 +14,6 @@ use terminal::{counted, number};
 use super::command::{CommandError, Connection, print_line, usage};
 use super::create::{configs, parse_names, tasks};
 use super::files::read_manifest;
-use super::search::spec;
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -57,7 +56,7 @@ pub(super) async fn extend(arguments: ExtendArguments) -> Result<(), CommandErro
             request.rows.push(AppendedRow { manifest_row, replicates: Vec::new() });
         }
     } else {
-        let mut larger = spec(&client, name).await?;
+        let mut larger = client.specification(name).await?;
         let Rollouts::Design(mut design) = larger.rollouts else {
             return Err(usage(anyhow!(
                 "extend campaign `{name}`: it has no design; add rows to a campaign of rows \

@@ -106,7 +106,10 @@ impl AtomicFile {
             .tempfile_in(folder.unwrap_or(Path::new(".")))
             // The error itself names the temporary file.
             .map_err(|error| std::io::Error::from(error.kind()))
-            .with_context(|| format!("write {}: may this user write there?", path.display()))?;
+            .with_context(|| {
+                let path = path.display();
+                format!("write {path}: is its folder there, and may this user write to it?")
+            })?;
         Ok(AtomicFile { path: path.to_owned(), file: BufWriter::new(file) })
     }
 

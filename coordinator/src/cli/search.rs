@@ -88,7 +88,7 @@ impl Search<'_> {
             }
         }
         if !exists {
-            let problem = self.problem(&spec(client, self.source).await?);
+            let problem = self.problem(&client.specification(self.source).await?);
             if let Some(problem) = problem {
                 return Err(usage(anyhow!("search campaign `{}`: {problem}", self.source)));
             }
@@ -160,7 +160,7 @@ impl Search<'_> {
         client: &Client,
         next: impl Fn(&Subject, &CampaignSpec) -> anyhow::Result<Vec<NextRow>>,
     ) -> Result<Subject, CommandError> {
-        let source_spec = spec(client, self.source).await?;
+        let source_spec = client.specification(self.source).await?;
         let (mut evaluated, mut shown) = (None, None);
         loop {
             let source = self.settled_source(client).await?;
@@ -226,7 +226,7 @@ impl Search<'_> {
         if !campaigns.iter().any(|status| status.name == self.name) {
             return Ok(false);
         }
-        let purpose = spec(client, self.name).await?.purpose;
+        let purpose = client.specification(self.name).await?.purpose;
         Ok(purpose.is_some_and(|purpose| {
             discriminant(&purpose) == discriminant(&self.purpose) && purpose.source() == self.source
         }))
@@ -234,7 +234,7 @@ impl Search<'_> {
 
     /// Creates the campaign, unless it exists with the same specification.
     async fn create(&self, client: &Client, source: &CampaignStatus) -> Result<(), CommandError> {
-        let CampaignSpec { record, execution, .. } = spec(client, self.source).await?;
+        let CampaignSpec { record, execution, .. } = client.specification(self.source).await?;
         let spec = CampaignSpec {
             name: self.name.to_owned(),
             policy: PolicyRoute { name: source.policy.clone(), endpoint: source.endpoint.clone() },
@@ -282,8 +282,4 @@ impl Search<'_> {
         let size = terminal::wrapped("", 2, &size);
         format!("{size}\n{}", forecast::describe(&forecast, &source.policy))
     }
-}
-
-pub(super) async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError> {
-    CampaignSpec::from_json(&client.campaign(name).await?.1).map_err(usage)
 }

@@ -139,7 +139,7 @@ pub(super) async fn import(
     let file = folder.path().join("archive");
     receive(&file, &first.data, &mut chunks, min_free_bytes).await?;
     let unpack_folder = folder.path().join("unpacked");
-    let unpacked = unpack(&file, archive, &unpack_folder).await;
+    let unpacked = unpack(&file, archive, &unpack_folder, min_free_bytes).await;
     let unpacked = unpacked.map_err(archive_failed)?;
     let films = unpacked.campaign.films();
     let queue = queue.clone();

@@ -48,7 +48,8 @@ fn code(error: &QueueError) -> Code {
         // Waiting does not restore the data folder, so clients should not retry. Workers retry
         // anyway, to keep their outcomes.
         QueueError::Store(StoreError::Gone { .. }) => Code::Internal,
-        QueueError::ShuttingDown | QueueError::Store(StoreError::Statement { .. }) => {
+        QueueError::ShuttingDown
+        | QueueError::Store(StoreError::Full { .. } | StoreError::Statement { .. }) => {
             Code::Unavailable
         }
     }
@@ -71,7 +72,7 @@ pub(super) fn invalid(error: impl std::fmt::Display) -> Status {
     Status::invalid_argument(error.to_string())
 }
 
-/// Checks that films and archives leave room on the data folder's disk for the results of running
+/// Checks that films, archives and large campaigns leave room on the data folder's disk for the results of running
 /// rollouts.
 pub(super) fn check_room(folder: &Path, min_free_bytes: u64, doing: &str) -> Result<(), Status> {
     let room = Room::measure(folder, min_free_bytes);

@@ -15,21 +15,26 @@ use queue::expand::NewCampaign;
 use queue::ids::CampaignName;
 use queue::read::{Campaign, View};
 use serde::Serialize;
-use tokio_stream::StreamExt;
+use tokio_stream::{Stream, StreamExt};
 use tonic::{Request, Response, Status, Streaming};
 use transport::chain;
 
 use super::backup;
 use super::detached::Detached;
-use super::failure::{Answer, failed, invalid};
+use super::failure::{Answer, check_room, failed, invalid};
 use super::streams::{Large, Turns};
 use super::{archives, read};
 use crate::export;
 use crate::storage::Storage;
 use crate::subject;
 
-/// Size of each message of a report, bytes.
-const REPORT_PART_BYTES: usize = 1 << 20;
+/// Size of each message of a report or a specification, bytes.
+const PART_BYTES: usize = 1 << 20;
+
+/// Space that a job takes in the database, bytes, rounded up, and the space that a campaign may take
+/// while the disk is nearly full.
+const JOB_BYTES: u64 = 1 << 10;
+const SMALL_BYTES: u64 = 1 << 20;
 
 #[derive(Debug)]
 pub(super) struct OperatorApi {
@@ -48,6 +53,19 @@ impl OperatorApi {
         self.queue.view().await.map_err(failed)
     }
 
+    /// Expands a specification, and checks that a large campaign leaves room for results.
+    async fn expand(&self, spec: String) -> Result<NewCampaign, Status> {
+        let expanded = tokio::task::spawn_blocking(move || NewCampaign::from_json(&spec)).await;
+        let expanded = expanded.map_err(|error| Status::internal(error.to_string()))?;
+        let campaign = expanded.map_err(|error| invalid(chain(&error)))?;
+        let bytes = campaign.jobs.len() as u64 * JOB_BYTES;
+        if bytes > SMALL_BYTES {
+            let needed = self.min_free_bytes.saturating_add(bytes);
+            check_room(self.queue.store().folder(), needed, "add the campaign's rollouts")?;
+        }
+        Ok(campaign)
+    }
+
     /// Looks a campaign up by name. The caller reads all further data of its response from the
     /// returned view, so that the response is consistent.
     async fn campaign(&self, name: &str) -> Result<(View, Campaign), Status> {
@@ -61,6 +79,7 @@ impl OperatorApi {
 #[tonic::async_trait]
 impl OperatorService for OperatorApi {
     type ArchiveCampaignStream = Large<wire::ArchiveChunk>;
+    type GetSpecificationStream = Large<wire::ReportPart>;
     type BackupStream = Large<wire::BackupChunk>;
     type ReportStream = Large<wire::ReportPart>;
     type ExportStream = Large<wire::ExportLine>;
@@ -70,11 +89,8 @@ impl OperatorService for OperatorApi {
         request: Request<CreateCampaignRequest>,
     ) -> Answer<wire::Answer> {
         let request = request.into_inner();
-        let campaign = NewCampaign::from_json(&request.spec);
-        let campaign = NewCampaign {
-            priority: read::priority(request.priority)?,
-            ..campaign.map_err(|error| invalid(chain(&error)))?
-        };
+        let priority = read::priority(request.priority)?;
+        let campaign = NewCampaign { priority, ..self.expand(request.spec).await? };
         let queue = self.queue.clone();
         let created = async move { queue.create_campaign(&campaign).await };
         answer(self.queue.now(), &self.changes.run(created).await?.map_err(failed)?)
@@ -88,9 +104,9 @@ impl OperatorService for OperatorApi {
             return Err(invalid("append to a campaign: give rows or a specification, not both"));
         }
         let rows = read::rows(request.rows)?;
-        let extended = match request.spec.as_str() {
-            "" => None,
-            spec => Some(NewCampaign::from_json(spec).map_err(|error| invalid(chain(&error)))?),
+        let extended = match request.spec.is_empty() {
+            true => None,
+            false => Some(self.expand(request.spec).await?),
         };
         let appended = async move {
             match extended {
@@ -108,9 +124,17 @@ impl OperatorService for OperatorApi {
 
     async fn get_campaign(&self, request: Request<GetCampaignRequest>) -> Answer<wire::Answer> {
         let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
+        answer(view.now, &view.status(campaign).await.map_err(failed)?)
+    }
+
+    async fn get_specification(
+        &self,
+        request: Request<GetCampaignRequest>,
+    ) -> Result<Response<Self::GetSpecificationStream>, Status> {
+        let turn = self.turns.wait().await?;
+        let (mut view, campaign) = self.campaign(&request.into_inner().campaign).await?;
         let spec = view.current_spec(&campaign).await.map_err(failed)?;
-        let status = view.status(campaign).await.map_err(failed)?;
-        answer(view.now, &(status, spec))
+        Ok(Response::new(turn.send(parts(spec.into_bytes()))))
     }
 
     async fn change_campaign(
@@ -200,11 +224,7 @@ impl OperatorService for OperatorApi {
         let json = tokio::task::spawn_blocking(move || serde_json::to_vec(&subject)).await;
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
         let json = json.map_err(|error| Status::internal(error.to_string()))?;
-        let parts = (0..json.len()).step_by(REPORT_PART_BYTES).map(move |start| {
-            let end = json.len().min(start + REPORT_PART_BYTES);
-            Ok(wire::ReportPart { json: json[start..end].to_vec() })
-        });
-        Ok(Response::new(turn.send(tokio_stream::iter(parts))))
+        Ok(Response::new(turn.send(parts(json))))
     }
 
     async fn export(
@@ -266,6 +286,14 @@ fn answer(now: UnixMillis, value: &impl Serialize) -> Answer<wire::Answer> {
     let json = serde_json::to_string(value);
     let json = json.map_err(|error| Status::internal(error.to_string()))?;
     Ok(Response::new(wire::Answer { json, now_unix_ms: now.0 }))
+}
+
+/// Divides JSON into messages.
+fn parts(json: Vec<u8>) -> impl Stream<Item = Result<wire::ReportPart, Status>> {
+    tokio_stream::iter((0..json.len()).step_by(PART_BYTES).map(move |start| {
+        let end = json.len().min(start + PART_BYTES);
+        Ok(wire::ReportPart { json: json[start..end].to_vec() })
+    }))
 }
 
 pub(super) fn campaign_name(name: &str) -> Result<CampaignName, Status> {

@@ -36,6 +36,9 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
     let status = serve.command(&["campaign", "status", "demo"]);
     let status = text(&status.stdout);
     assert!(status.contains("--min-free-mib"), "{status}");
+    // A campaign whose rows take much of the remaining space is not added.
+    let large = [&CREATE[..3], &["large"], &CREATE[4..], &["--replicates", "100"]].concat();
+    serve.run(&large, 1, &["add the campaign's rollouts", "which results need", "make room"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]

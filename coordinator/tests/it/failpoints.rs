@@ -120,7 +120,7 @@ async fn finish(folder: &Path) -> Vec<u8> {
         take_over(&mut worker, &mut operator).await;
         let request = wire::GetCampaignRequest { campaign: "sound".to_owned() };
         let status = value(operator.get_campaign(request).await);
-        let (status, _spec): (CampaignStatus, String) = status.expect("a status");
+        let status: CampaignStatus = status.expect("a status");
         if status.rollouts.committed == status.rollouts.total() {
             break;
         }

@@ -29,6 +29,15 @@ async fn commit_all_but_simultaneous(outcome: bool) -> (Bench, Worker, wire::Lea
     (bench, worker, simultaneous)
 }
 
+/// Regression: such a campaign was created, and no rollout of it was ever filmed.
+#[tokio::test]
+async fn a_campaign_without_simultaneous_rollouts_records_no_transitions() {
+    let none = json!({"record": "transitions", "axes": ["camera"]});
+    let bench = Bench::with(&small_spec("other")).await;
+    let created = bench.create(&with(small_spec("filmed"), none)).await;
+    assert_refused(created, Code::InvalidArgument, &["no simultaneous rollout", "or all"]);
+}
+
 async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
     film_of(worker, pack, "").await.expect("an answer")
 }

@@ -223,8 +223,7 @@ impl Bench {
     pub(crate) async fn status(&self, campaign: &str) -> CampaignStatus {
         let request = wire::GetCampaignRequest { campaign: campaign.to_owned() };
         let response = self.operator().await.get_campaign(request).await;
-        let (status, _spec): (CampaignStatus, String) = value(response).expect("a status");
-        status
+        value(response).expect("a status")
     }
 
     /// Pauses, resumes or cancels a campaign; returns the name of its state.

@@ -75,7 +75,7 @@ async fn imported_rows_that_contradict_their_campaign_are_refused_by_line() {
     }
     alter(&file, &bad, |lines| drop(lines.pop()));
     let message = target.refused(&["campaign", "import", &path]);
-    assert!(message.contains("it holds 7, and its specification has 8"), "{message}");
+    assert!(message.contains("find its 8 rollouts: it holds 7"), "{message}");
     check_unchanged(&target, &before, &file).await;
 }
 

@@ -86,6 +86,7 @@ pub fn plain_words(message: &str) -> String {
     match message {
         "expected value" | "expected ident" => "a value is missing or malformed".to_owned(),
         message if message.starts_with("EOF while parsing") => "the text ends too early".to_owned(),
+        "unexpected end of hex escape" => "an escaped character is incomplete".to_owned(),
         "trailing characters" => "there is text after the end".to_owned(),
         message => message.replace("expected ", "missing here: "),
     }
@@ -207,5 +208,7 @@ mod tests {
         check(r#"{"count": 1} x"#, "there is text after the end (line 1, column 14)");
         check("[1", "the text ends too early (line 1, column 2)");
         check("{1}", "key must be a string (line 1, column 2)");
+        let half = serde_json::from_str::<Request>(r#"{"\ud800": 1}"#).expect_err("half a pair");
+        assert_eq!(JsonError::from(half).problem(), "an escaped character is incomplete");
     }
 }

@@ -6,7 +6,8 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use benchmark::seeds::policy_seed;
 use benchmark::{
-    CampaignSpec, JsonError, ManifestRow, Record, RolloutId, SpecError, Stop, TaskKey, Wanted,
+    CampaignSpec, Condition, JsonError, ManifestRow, Record, RolloutId, SpecError, Stop, TaskKey,
+    Wanted,
 };
 use paired::{Unit, drawn_order};
 use serde_json::{Map, Value};
@@ -61,6 +62,11 @@ pub struct NewJob {
 impl NewJob {
     pub fn is_placebo(&self) -> bool {
         self.rollout_id.parse::<RolloutId>().is_ok_and(|id| id.is_placebo())
+    }
+
+    fn is_simultaneous(&self) -> bool {
+        let id = self.rollout_id.parse::<RolloutId>();
+        id.is_ok_and(|id| id.condition() == Condition::Simultaneous)
     }
 
     pub(crate) fn new(
@@ -139,6 +145,10 @@ impl NewCampaign {
             step_budget,
             priority: 0,
         })
+    }
+
+    pub(crate) fn has_simultaneous(&self) -> bool {
+        self.jobs.iter().any(NewJob::is_simultaneous)
     }
 
     pub fn tasks(&self) -> BTreeSet<&str> {

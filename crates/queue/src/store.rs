@@ -88,7 +88,7 @@ pub enum OpenError {
         path.display()
     )]
     OlderCheckout { path: PathBuf },
-    #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
+    #[error("bring database {} to schema version {known}: make room on its disk, restore it from a backup, or choose another folder with --data", path.display())]
     Migrate { path: PathBuf, known: i64, source: MigrateError },
     #[error(
         "open database {}: check that it is a SQLite file on a local disk, or restore it from a \
@@ -100,6 +100,10 @@ pub enum OpenError {
 
 #[derive(Clone, Debug, thiserror::Error)]
 pub enum StoreError {
+    #[error(
+        "{doing} in the database: the disk of the coordinator's data folder is full; make room there"
+    )]
+    Full { doing: &'static str },
     #[error("{doing} in the database")]
     Statement { doing: &'static str, source: Arc<sqlx::Error> },
     /// The database file was removed or replaced. SQLite continues with the open file, whose
@@ -125,7 +129,7 @@ impl StoreError {
     pub(crate) fn with_cause(&self) -> String {
         match self {
             Self::Statement { source, .. } => format!("{self}: {source}"),
-            Self::Gone { .. } => self.to_string(),
+            _ => self.to_string(),
         }
     }
 }
@@ -139,6 +143,9 @@ pub(crate) struct Tx<'a> {
     failpoints: &'a Failpoints,
 }
 
+/// SQLite's code for a full disk.
+const SQLITE_FULL: &str = "13";
+
 /// Adds the purpose of a statement to its error.
 pub(crate) trait Doing<T> {
     fn doing(self, doing: &'static str) -> Result<T, StoreError>;
@@ -146,7 +153,13 @@ pub(crate) trait Doing<T> {
 
 impl<T> Doing<T> for Result<T, sqlx::Error> {
     fn doing(self, doing: &'static str) -> Result<T, StoreError> {
-        self.map_err(|source| StoreError::Statement { doing, source: Arc::new(source) })
+        self.map_err(|source| {
+            let code = source.as_database_error().and_then(|error| error.code());
+            match code.as_deref() == Some(SQLITE_FULL) {
+                true => StoreError::Full { doing },
+                false => StoreError::Statement { doing, source: Arc::new(source) },
+            }
+        })
     }
 }
 

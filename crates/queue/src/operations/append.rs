@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use benchmark::manifest::{Difference, diff};
 use benchmark::{CampaignSpec, ManifestRow, RolloutId, Rollouts, TaskKey};
 
+use super::batches::JOBS_PER_BATCH;
 use super::campaigns::{Created, check_not_ended};
 use super::context::Context;
 use super::error::QueueError;
@@ -72,6 +73,8 @@ impl Queue {
             None => None,
         };
         drop(view);
+        // The next rows of a search follow from all those of a request.
+        let batch = if budgets.is_some() { usize::MAX } else { JOBS_PER_BATCH };
         let mut known = Present {
             spec,
             rows: BTreeMap::new(),
@@ -86,7 +89,7 @@ impl Queue {
             known.rows.insert(row.id, row);
         }
         let jobs = on_blocking_thread(move || known.further(rows)).await;
-        self.append(campaign, jobs.map_err(unspecified)?, None).await
+        self.append(campaign, jobs.map_err(unspecified)?, batch, None).await
     }
 
     /// Adds the rows that a campaign of a design lacks of a larger one, or of more replicates.
@@ -129,7 +132,7 @@ impl Queue {
         for (place, job) in (campaign.jobs..).zip(&mut jobs) {
             job.unit_order = place;
         }
-        self.append(campaign, jobs, Some((larger.spec, larger.spec_digest))).await
+        self.append(campaign, jobs, JOBS_PER_BATCH, Some((larger.spec, larger.spec_digest))).await
     }
 
     /// Returns a campaign that may get further rows, and its specification.
@@ -149,30 +152,31 @@ impl Queue {
         Ok((campaign, spec))
     }
 
-    /// Adds jobs to a campaign, and replaces its specification if another one is given.
+    /// Adds jobs to a campaign in batches, between which the writer serves workers, and replaces its
+    /// specification if another one is given.
     async fn append(
         &self,
         campaign: Campaign,
         jobs: Vec<NewJob>,
-        spec: Option<(String, String)>,
+        batch: usize,
+        mut spec: Option<(String, String)>,
     ) -> Result<Created, QueueError> {
         let jobs_added = jobs.len() as u64;
         let jobs_total = campaign.jobs.unsigned_abs() + jobs_added;
         let created = Created { jobs_added, jobs_total, priority: campaign.priority };
-        if jobs.is_empty() {
-            return Ok(created);
+        for jobs in jobs.chunks(batch) {
+            let mut context = Context::begin(&self.shared, vec![Step::AppendRows]).await?;
+            // The campaign may have ended meanwhile.
+            check_not_ended(&*context.campaign(campaign.id).await?)?;
+            if let Some((spec, digest)) = spec.take() {
+                campaigns::set_spec(&mut context.tx, campaign.id, &spec, &digest).await?;
+            }
+            campaigns::append_jobs(&mut context.tx, campaign.id, jobs).await?;
+            context.cache.clear_campaigns();
+            context.commit().await?;
+            self.shared.work.notify_waiters();
         }
-        let mut context = Context::begin(&self.shared, vec![Step::AppendRows]).await?;
-        // The campaign may have ended meanwhile.
-        check_not_ended(&*context.campaign(campaign.id).await?)?;
-        if let Some((spec, digest)) = spec {
-            campaigns::set_spec(&mut context.tx, campaign.id, &spec, &digest).await?;
-        }
-        campaigns::append_jobs(&mut context.tx, campaign.id, &jobs).await?;
-        context.cache.clear_campaigns();
-        context.commit().await?;
         tracing::info!(campaign = %campaign.name, jobs = jobs_added, "rows were added");
-        self.shared.work.notify_waiters();
         Ok(created)
     }
 }

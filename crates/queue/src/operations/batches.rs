@@ -112,6 +112,7 @@ pub(crate) async fn run(shared: Arc<Shared>, interrupted: Vec<(CampaignId, Polic
 
 #[cfg(test)]
 pub(super) mod tests {
+    use std::collections::BTreeSet;
     use std::path::Path;
     use std::time::Duration;
 
@@ -134,12 +135,13 @@ pub(super) mod tests {
         queue.expect("a queue")
     }
 
-    fn large_campaign() -> NewCampaign {
+    /// Returns a campaign of more than two batches.
+    fn large_campaign(replicates: u32) -> NewCampaign {
         let spec = json!({
             "name": "large",
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
             "tasks": ["object"], "axes": ["camera", "sensor"], "levels": ["L1", "L2", "L3"],
-            "configs": (0..10).collect::<Vec<_>>(), "replicates": 3, "record": "transitions",
+            "configs": (0..10).collect::<Vec<_>>(), "replicates": replicates, "record": "transitions",
         });
         NewCampaign::from_json(&spec.to_string()).expect("a campaign")
     }
@@ -154,12 +156,31 @@ pub(super) mod tests {
         sqlx::query_scalar(sql).fetch_one(&mut *view).await.expect("a count")
     }
 
+    #[tokio::test]
+    async fn a_full_disk_is_named_with_its_remedy_and_keeps_no_part_of_a_campaign() {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let queue = start(folder.path()).await;
+        for (pages, created) in [("1", false), ("1000000", true)] {
+            let mut context = Context::begin(&queue.shared, vec![]).await.expect("begun");
+            let limit = format!("PRAGMA max_page_count = {pages}");
+            let limit = sqlx::raw_sql(sqlx::AssertSqlSafe(limit)).execute(&mut *context.tx);
+            limit.await.expect("a limit");
+            drop(context);
+            let result = queue.create_campaign(&large_campaign(3)).await;
+            assert_eq!(result.is_ok(), created, "{result:?}");
+            if let Err(error) = result {
+                assert!(error.to_string().contains("is full; make room there"), "{error}");
+                assert_eq!(count(&queue, "SELECT count(*) FROM campaign").await, 0);
+            }
+        }
+    }
+
     /// Regression: creating or deleting a campaign was one transaction of the only writer, which
     /// made every worker wait.
     #[tokio::test(flavor = "multi_thread")]
     async fn a_large_campaign_is_inserted_and_deleted_in_hidden_batches() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let new = large_campaign();
+        let new = large_campaign(3);
         let jobs = i64::try_from(new.jobs.len()).expect("few");
         assert!(new.jobs.len() > 2 * JOBS_PER_BATCH);
         let mut queue = start(folder.path()).await;
@@ -170,13 +191,28 @@ pub(super) mod tests {
         let again = queue.create_campaign(&new).await.expect("created again");
         assert_eq!(again.jobs_added, 0);
         let name = CampaignName::parse("large").expect("a name");
+        // Workers are served while it is extended.
+        let larger = large_campaign(20);
+        let more = larger.jobs.len() as i64;
+        let mut seen = BTreeSet::new();
+        let mut extension = Box::pin(queue.extend_campaign(&name, larger));
+        let extended = loop {
+            tokio::select! {
+                extended = &mut extension => break extended,
+                count = count(&queue, "SELECT count(*) FROM job") => seen.insert(count),
+            };
+        };
+        drop(extension);
+        assert_eq!(extended.expect("extended").jobs_total, more.unsigned_abs());
+        assert!(seen.range(jobs + 1..more).count() > 0, "{seen:?} of {more}");
+        assert_invariants(folder.path()).await;
         let mut view = queue.view().await.expect("a view");
         let campaign = view.campaign(&name).await.expect("the campaign");
         assert_eq!((campaign.folder.as_str(), campaign.record.as_str()), ("large", "transitions"));
         assert!(campaign.state.may_lease());
         drop(view);
         let counts = queue.delete_campaign(&name).await.expect("deleted");
-        assert_eq!(counts.total(), new.jobs.len() as u64);
+        assert_eq!(counts.total(), more.unsigned_abs());
         assert_eq!(count(&queue, "SELECT count(*) FROM campaign").await, 0);
 
         // The coordinator stops in the middle of an insertion, and in the middle of a deletion.

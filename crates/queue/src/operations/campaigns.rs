@@ -49,6 +49,15 @@ impl Queue {
             }
             return Ok(Created { jobs_added: 0, jobs_total: jobs, priority: existing.priority });
         }
+        if new.record == "transitions" && new.source.is_none() && !new.has_simultaneous() {
+            return Err(QueueError::Unspecified {
+                campaign: new.name.clone(),
+                problem: "`record` is transitions, the rollouts of configurations whose outcome \
+                          changes under simultaneous perturbation, and it has no simultaneous \
+                          rollout; record failures or all"
+                    .to_owned(),
+            });
+        }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > JOBS_PER_BATCH {
             // The campaign has no source: one that has is created without jobs.

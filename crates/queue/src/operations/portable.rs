@@ -84,7 +84,7 @@ pub enum PortableError {
     Specification(#[from] ExpandError),
     #[error("read line {line}: {problem}")]
     Line { line: u64, problem: String },
-    #[error("find the campaign's rollouts: it holds {found}, and its specification has {expected}")]
+    #[error("find its {expected} rollouts: it holds {found}; repeat an extension that was cut off")]
     Rollouts { found: u64, expected: u64 },
     #[error("find the results of its films: {results} of {films} films have one")]
     Films { results: i64, films: usize },
@@ -274,7 +274,7 @@ fn violation(error: StoreError, line: u64) -> PortableError {
             sqlx::Error::Decode(refused) => refused.to_string(),
             _ => return error.into(),
         },
-        StoreError::Gone { .. } => return error.into(),
+        _ => return error.into(),
     };
     PortableError::Line {
         line,
