@@ -1,0 +1,64 @@
+"""Time of the pipe against stepping the environment in-process, in turn in one run.
+
+    MUJOCO_GL=egl python python/bench/pipe.py [--rounds N] [--steps N] SPEC [OPTION ...]
+
+Each round runs a rollout in-process and one through the pipe, in alternating order, with the same
+actions; every step observes all cameras. Prints the medians and the ratio. Construction is not
+counted: it is the same on both sides.
+"""
+
+import argparse
+import statistics
+import sys
+import time
+
+import numpy as np
+
+from rollout_env import Client, open_simulator
+from rollout_env.settings import arguments, settings
+
+SEED = 3
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--steps", type=int, default=20)
+    arguments(parser)
+    options = parser.parse_args()
+    given = sys.argv[sys.argv.index(options.spec) :]
+    simulator = open_simulator(settings(options))
+    about = simulator.description
+    task, cameras = about.tasks[0].name, about.cameras
+    actions = np.random.default_rng(0).uniform(-1, 1, (options.steps, len(about.action)))
+    times: dict[str, list[float]] = {"in-process": [], "pipe": []}
+    with Client([sys.executable, "-m", "rollout_env", "serve", *given]) as pipe:
+        for index in range(options.rounds):
+            order = list(times) if index % 2 else list(times)[::-1]
+            for side in order:
+                if side == "pipe":
+                    pipe.reset(task, SEED, cameras)
+                else:
+                    simulator.reset(task, SEED, {})
+                    simulator.observe(cameras)
+                started = time.perf_counter()
+                for action in actions:
+                    if side == "pipe":
+                        pipe.step([action.tolist()])
+                        pipe.frames()
+                    else:
+                        simulator.step(action)
+                        simulator.observe(cameras)
+                times[side].append((time.perf_counter() - started) / options.steps * 1000)
+    medians = {side: statistics.median(values) for side, values in times.items()}
+    ratio = statistics.median(
+        piped / alone for piped, alone in zip(times["pipe"], times["in-process"])
+    )
+    sizes = ", ".join(f"{camera.width}×{camera.height}" for camera in cameras)
+    for side, milliseconds in medians.items():
+        print(f"{side}: {milliseconds:.2f} ms a step with cameras of {sizes}")
+    print(f"pipe / in-process, median of {options.rounds} rounds: {ratio:.3f}")
+
+
+if __name__ == "__main__":
+    main()
