@@ -1,8 +1,8 @@
 """σ of the actuation axis, from open-loop tracking errors as LIBERO-CTRL's.
 
-A demonstration's actions are executed again, distorted along one parameter alone. LIBERO's units
-make the largest deviation of the end-effector 10, 20 and 40 mm at the radii 2, 4 and 8; σ is the
-value at which the median over the demonstrations is 10 mm, divided by 2.
+A demonstration's actions are executed again, distorted along one parameter alone. LIBERO-CTRL's σ
+is the value, divided by 8, at which the end-effector's largest deviation is 20 mm; here as the
+median over the demonstrations.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from .description import DIMENSIONS, Failed, Simulator, Unusable
 
 #: Deviation at the radius, mm.
-TARGET_MM, RADIUS = 10.0, 2.0
+TARGET_MM, RADIUS = 20.0, 8.0
 #: Parameters with the largest value that is tried, in the unit of the manifest's columns.
 PARAMETERS = {
     "gain_log2": 2.0,
@@ -23,8 +23,8 @@ PARAMETERS = {
     "lag_tau": 20.0,
     "noise_frac": 4.0,
 }
-#: Halvings of the interval that holds σ; seed of the drawn elements.
-HALVINGS, SEED = 10, 0
+#: Relative accuracy of σ; seed of the drawn elements.
+TOLERANCE, SEED = 0.02, 0
 
 
 def calibrate(
@@ -41,7 +41,8 @@ def calibrate(
         )
     arm = _columns(about.action)
     actions = np.concatenate(list(demonstrations.values()))
-    rms = [float(np.sqrt(np.mean(actions[:, part] ** 2))) if part else 0.0 for part in arm]
+    # Of the length of the translation, and of the rotation, as in LIBERO-CTRL.
+    rms = [float(np.sqrt(np.mean(np.sum(actions[:, part] ** 2, axis=1)))) for part in arm]
 
     def path(name: str, distortion: dict[str, float]) -> np.ndarray:
         task, _, seed = name.rpartition("@")
@@ -74,17 +75,21 @@ def calibrate(
     for parameter, largest in PARAMETERS.items():
         if parameter == "misalign_deg" and min(len(part) for part in arm if part) < 2:
             continue
-        low, high = 0.0, largest
-        if deviation(parameter, largest) < TARGET_MM:
+        # Nearly proportional, so that a few steps suffice; halves the interval where it is not.
+        low, high, value = 0.0, largest, largest / 8
+        while high - low > TOLERANCE * high:
+            reached = deviation(parameter, value)
+            if abs(reached / TARGET_MM - 1) < TOLERANCE:
+                break
+            low, high = (value, high) if reached < TARGET_MM else (low, value)
+            scaled = value * TARGET_MM / max(reached, 1e-9)
+            value = scaled if low < scaled < high else (low + high) / 2
+        if value > largest * (1 - TOLERANCE):
             raise Failed(
                 f"{parameter} of {largest} deviates less than {TARGET_MM} mm: use longer "
                 "demonstrations, or correct --mm"
             )
-        for _ in range(HALVINGS):
-            middle = (low + high) / 2
-            below = deviation(parameter, middle) < TARGET_MM
-            low, high = (middle, high) if below else (low, middle)
-        units[parameter] = float(f"{high / RADIUS:.4g}")
+        units[parameter] = float(f"{value / RADIUS:.4g}")
     return {
         "unit": units,
         "demo_action_rms": [round(value, 3) for value in rms],

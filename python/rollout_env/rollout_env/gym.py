@@ -169,7 +169,8 @@ class GymSimulator:
         renderer = self._renderers.get((width, height))
         if renderer is None:
             renderer = self._renderers[width, height] = mujoco.Renderer(model, height, width)
-        renderer.update_scene(data, camera=camera)
+        # A number is a camera's index; -1 is the free camera, which every model has.
+        renderer.update_scene(data, int(camera) if re.fullmatch(r"-?\d+", camera) else camera)
         return renderer.render().copy()
 
     def _camera(self, name: str, source: str) -> Camera:
