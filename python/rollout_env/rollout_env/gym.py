@@ -210,6 +210,8 @@ class GymSimulator:
         make = _lerobot if settings.kind == "lerobot" else _gymnasium
         try:
             self._env, self._task = make(settings.name, keywords, seed), task
+        except Unusable:
+            raise
         except ImportError as error:
             raise Unusable(
                 f"`{settings.spec}` needs a package: {error}. Install it beside this interpreter, "
@@ -258,9 +260,10 @@ def _lerobot(name: str, keywords: dict[str, Any], seed: int) -> Any:
 
     kind, _, task = name.partition("/")
     config = make_env_config(kind, **({"task": task} if task else {}), **keywords)
-    (suite,) = make_env(config, n_envs=1).values()
-    vector = next(iter(suite.values()))
-    return vector.envs[0]
+    vectors = [one for suite in make_env(config, n_envs=1).values() for one in suite.values()]
+    if len(vectors) != 1:
+        raise Unusable(f"`lerobot:{name}` is {len(vectors)} tasks: name one, lerobot:TYPE/TASK")
+    return vectors[0].envs[0]
 
 
 def _model_and_data(env: Any, spec: str) -> tuple[Any, Any]:

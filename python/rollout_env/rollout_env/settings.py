@@ -74,8 +74,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=SOURCE",
         action="append",
         default=[],
-        help="a camera: `mujoco.CAMERA` of the model, by name or index, `render`, or a key of the observation "
-        "[default: the pictures in the observation, else `render`]",
+        help="a camera: `mujoco.CAMERA` of the model, by name or index, `render`, or a key of the "
+        "observation [default: the pictures in the observation, else `render`]",
     )
     add("--size", metavar="WxH", default="256x256", help="size of `mujoco` cameras' frames")
     add(

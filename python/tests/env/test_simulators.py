@@ -78,24 +78,10 @@ def test_every_task_runs_through_the_pipe(name: str, monkeypatch: pytest.MonkeyP
 
 
 def test_metaworlds_experts_succeed_through_the_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Also shows what a seed pairs: the same rollout by the same expert, action by action."""
+    """The same rollout twice: one seed is one rollout, action by action."""
     chosen("metaworld", monkeypatch)
-    policies = importlib.import_module("metaworld.policies")
-    spec = METAWORLD.replace("observation[0:3]", "observation") + " --state all=observation"
-    with Client([sys.executable, "-m", "rollout_env", "serve", *spec.split()]) as pipe:
-        for task, expert in [
-            ("reach-v3", "SawyerReachV3Policy"),
-            ("push-v3", "SawyerPushV3Policy"),
-        ]:
-            paths = []
-            for _ in range(2):
-                policy = getattr(policies, expert)()
-                answer = pipe.reset(task, 5, [])
-                path = []
-                while len(path) < 500 and not answer.get("success"):
-                    action = policy.get_action(np.array(answer["state"]["all"]))
-                    answer = pipe.step([np.clip(action, -1, 1).tolist()], frames=False)
-                    path.append(answer["state"]["all"])
-                assert answer["success"], f"{task} after {len(path)} steps"
-                paths.append(path)
-            assert paths[0] == paths[1]
+    experts = importlib.import_module("metaworld_experts")
+    with experts.serve("reach-v3,push-v3") as pipe:
+        for task in ("reach-v3", "push-v3"):
+            (first, actions), (second, again) = (experts.rollout(pipe, task, 5) for _ in range(2))
+            assert first and second and np.array_equal(actions, again)
