@@ -44,7 +44,7 @@ pub(crate) enum Suite {
     /// The demo, with fewer rollouts.
     Demo,
     /// Simulators of the package index behind `rollout-env`; only if named: their environments
-    /// take 4 GB, and drawing without a GPU takes ten minutes.
+    /// take 4 GB, and drawing without a GPU takes tens of minutes.
     Simulators,
 }
 
@@ -52,11 +52,11 @@ pub(crate) enum Suite {
 /// they do not declare. Each is installed into an environment of its own.
 const SIMULATORS: [(&str, &[&str]); 5] = [
     ("aloha", &["gym-aloha==0.1.5"]),
-    ("kinetix", &["kinetix-env==3.0.2", "vla-eval==0.8.0"]),
     ("metaworld", &["metaworld==3.1.1", "packaging"]),
     ("pusht", &["gym-pusht==0.1.8"]),
     // robosuite 1.5.2 accepts any later MuJoCo, but does not run with MuJoCo 4.
     ("robosuite", &["robosuite==1.5.2", "mujoco==3.3.7", "gymnasium>=1.1", "h5py"]),
+    ("vla_eval", &["vla-eval==0.8.0", "gymnasium[mujoco]>=1.1"]),
 ];
 
 /// Packages of optional tests: Kubernetes' schemas, a server of S3's protocol, and Ray.

@@ -123,8 +123,8 @@ def check_observation(about: Description, cameras: list[Camera], seen: Observati
         reading = seen.state[name]
         if reading.shape != (size,):
             raise Failed(
-                f"reading `{name}` has the shape {reading.shape}, not ({size},): give the "
-                "environment observations of one shape"
+                f"reading `{name}` has the shape {reading.shape}, not ({size},): name readings "
+                "that all tasks share with --state"
             )
         if not np.isfinite(reading).all():
             raise Failed(f"reading `{name}` holds NaN or infinity: the simulation diverged")

@@ -16,37 +16,39 @@ from rollout_env.check import check
 from rollout_env.description import Camera
 from rollout_env.settings import arguments, settings
 
-EXAMPLES = pathlib.Path(__file__).parents[2] / "rollout_env" / "examples"
+FOLDER = pathlib.Path(__file__).parent
+FOLDERS = [str(FOLDER), str(FOLDER.parents[1] / "rollout_env" / "examples")]
 METAWORLD = (
     "gym:Meta-World/MT1 --tasks env_name=reach-v3,push-v3 --action x,y,z,gripper --size 64x64 "
     "--state eef_pos=observation[0:3] --camera agentview=mujoco.corner2"
 )
 ROBOSUITE = (
     "gym:robosuite_tasks:make() --tasks task=Lift,Stack --action x,y,z,roll,pitch,yaw,gripper "
-    "--size 64x64 --camera agentview=mujoco.agentview "
+    "--size 64x64 --state proprio=robot0_proprio-state --camera agentview=mujoco.agentview "
     "--camera robot0_eye_in_hand=mujoco.robot0_eye_in_hand"
 )
-KINETIX = (
-    "vla-eval:vla_eval.benchmarks.kinetix.benchmark:KinetixBenchmark --tasks Catapult "
-    "--action -,-,-,-,-,- --control-hz 30"
+VLA_EVAL = (
+    "vla-eval:reacher_benchmark:Reacher --tasks reach --set max_steps=30 --control-hz 50 "
+    "--action x,y"
 )
-#: Package, SPEC with options, names of the findings of `check`.
+#: Package, SPEC with options.
 SIMULATORS = {
-    "metaworld": ("metaworld", METAWORLD, []),
-    "robosuite": ("robosuite", ROBOSUITE, []),
-    "aloha": ("gym_aloha", "gym:gym_aloha/AlohaTransferCube-v0 --set obs_type=pixels_agent_pos", 1),
-    "pusht": ("gym_pusht", "gym:gym_pusht/PushT-v0 --set obs_type=pixels_agent_pos", 1),
-    "kinetix": ("kinetix", KINETIX, 1),
+    "metaworld": ("metaworld", METAWORLD),
+    "robosuite": ("robosuite", ROBOSUITE),
+    "aloha": ("gym_aloha", "gym:gym_aloha/AlohaTransferCube-v0 --set obs_type=pixels_agent_pos"),
+    "pusht": ("gym_pusht", "gym:gym_pusht/PushT-v0 --set obs_type=pixels_agent_pos"),
+    "vla_eval": ("vla_eval", VLA_EVAL),
 }
 
 
 def chosen(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Settings]:
-    package, spec, _ = SIMULATORS[name]
+    package, spec = SIMULATORS[name]
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed in this environment")
     monkeypatch.setenv("MUJOCO_GL", "egl")
-    monkeypatch.syspath_prepend(str(EXAMPLES))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(EXAMPLES), *sys.path]))
+    for folder in FOLDERS:
+        monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(sys.path))
     parser = argparse.ArgumentParser()
     arguments(parser)
     return spec, settings(parser.parse_args(spec.split()))
