@@ -16,8 +16,8 @@ from .description import Failed, Unusable
 from .settings import arguments, settings
 
 COMMANDS = {
-    "serve": "serve a worker, which starts this command",
-    "describe": "print what the worker and `coordinator` are told, JSON",
+    "serve": "serve the program that starts this command",
+    "describe": "print the answer to Describe, JSON",
     "check": "name what is wrong with an environment, with the remedy",
     "calibrate": "measure σ of the actuation axis",
 }
@@ -25,7 +25,9 @@ COMMANDS = {
 
 def main(given: list[str] | None = None) -> int:
     """Runs a command; returns its exit code."""
-    parser = argparse.ArgumentParser("rollout-env", description="Serves a simulator to a worker.")
+    parser = argparse.ArgumentParser(
+        "rollout-env", description="Serves a simulator through a pipe."
+    )
     commands = parser.add_subparsers(dest="command", required=True)
     for name, text in COMMANDS.items():
         command = commands.add_parser(name, help=text, description=text)

@@ -215,7 +215,7 @@ class GymSimulator:
         except ImportError as error:
             raise Unusable(
                 f"`{settings.spec}` needs a package: {error}. Install it beside this interpreter, "
-                "or name the interpreter that has it in the worker's --simulator"
+                "or start rollout-env with the interpreter that has it"
             ) from error
         except Exception as error:
             raise Unusable(f"constructing `{settings.spec}` with {keywords}: {error!r}") from error

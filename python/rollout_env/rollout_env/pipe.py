@@ -151,8 +151,8 @@ def serve(make: Callable[[], Simulator]) -> None:
         connection = socket.socket(fileno=os.dup(0))
     except OSError as error:
         raise Unusable(
-            "standard input is no socket: a worker starts this command, with `--simulator "
-            "NAME='… -m rollout_env serve …'`; to try an environment, use `check`"
+            "standard input is no socket: another program starts this command, as "
+            "`rollout_env.Client` does; to try an environment, use `check`"
         ) from error
     _end_with_the_worker()
     Server(connection, make).run()

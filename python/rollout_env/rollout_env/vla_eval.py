@@ -83,7 +83,7 @@ class VlaEvalSimulator:
         except ImportError as error:
             raise Unusable(
                 f"`{self._settings.spec}` needs a package: {error}. Install it beside this "
-                "interpreter, or name the interpreter that has it in the worker's --simulator"
+                "interpreter, or start rollout-env with the interpreter that has it"
             ) from error
         except Exception as error:
             raise Unusable(f"constructing `{self._settings.spec}`: {error!r}") from error
