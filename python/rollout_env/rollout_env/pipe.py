@@ -191,8 +191,9 @@ class Client:
         ours, theirs = socket.socketpair()
         self._process = subprocess.Popen(command, stdin=theirs.fileno())
         theirs.close()
-        ours.settimeout(timeout)
-        self._timeout = timeout
+        #: Longest wait for an answer, s.
+        self.timeout = timeout
+        self._socket = ours
         self._stream = ours.makefile("rwb")
         self._cameras: list[Camera] = []
         folder = "/dev/shm" if os.path.isdir("/dev/shm") else None
@@ -203,13 +204,14 @@ class Client:
 
     def call(self, name: str, **request: Any) -> dict[str, Any]:
         """Sends a message and returns its answer; raises `Unusable`, `Failed` or `Lost`."""
+        self._socket.settimeout(self.timeout)
         try:
             self._stream.write(json.dumps({name: request}).encode() + b"\n")
             self._stream.flush()
             line = self._stream.readline()
         except TimeoutError as error:
             self._process.kill()
-            raise Lost(f"{name} was not answered in {self._timeout} s") from error
+            raise Lost(f"{name} was not answered in {self.timeout} s") from error
         except BrokenPipeError:
             line = b""
         if not line:
@@ -250,7 +252,7 @@ class Client:
         except OSError:
             pass
         os.close(self._frames)
-        self._process.wait(self._timeout)
+        self._process.wait(self.timeout)
 
     def __enter__(self) -> Client:
         return self
