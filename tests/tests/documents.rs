@@ -48,6 +48,7 @@ pages! {
     commands_of_reliability_work: "docs/dev/RELIABILITY.md",
     commands_of_python_work: "docs/PYTHON.md",
     commands_of_report_work: "docs/REPORT.md",
+    commands_of_simulators_work: "docs/SIMULATORS.md",
     commands_of_the_student_work: "docs/dev/STUDENT.md",
     commands_of_why_work: "docs/WHY.md",
     commands_of_the_libero_pack_work: "assets/libero/README.md",
@@ -58,6 +59,7 @@ pages! {
     commands_of_the_python_package_work: "policies/README.md",
     commands_of_the_wheels_work: "python/README.md",
     commands_of_the_shim_work: "python/libero_shim/README.md",
+    commands_of_rollout_env_work: "python/rollout_env/README.md",
     commands_of_the_typescript_server_work: "policies/typescript/README.md",
     commands_of_training_work: "training/README.md",
 }

@@ -19,7 +19,7 @@ use crate::setup;
 use crate::skipped;
 use crate::step::step;
 use crate::typescript;
-use crate::venv::optional;
+use crate::venv::{environment, optional};
 use crate::wheel;
 
 /// A part of the tests that can be run alone.
@@ -43,7 +43,21 @@ pub(crate) enum Suite {
     Ray,
     /// The demo, with fewer rollouts.
     Demo,
+    /// Simulators of the package index behind `rollout-env`; only if named: their environments
+    /// take 4 GB, and drawing without a GPU takes tens of minutes.
+    Simulators,
 }
+
+/// Simulators by the name of the environment, with the requirements that they need and those that
+/// they do not declare. Each is installed into an environment of its own.
+const SIMULATORS: [(&str, &[&str]); 5] = [
+    ("aloha", &["gym-aloha==0.1.5"]),
+    ("metaworld", &["metaworld==3.1.1", "packaging"]),
+    ("pusht", &["gym-pusht==0.1.8"]),
+    // robosuite 1.5.2 accepts any later MuJoCo, but does not run with MuJoCo 4.
+    ("robosuite", &["robosuite==1.5.2", "mujoco==3.3.7", "gymnasium>=1.1", "h5py"]),
+    ("vla_eval", &["vla-eval==0.8.0", "gymnasium[mujoco]>=1.1"]),
+];
 
 /// Packages of optional tests: Kubernetes' schemas, a server of S3's protocol, and Ray.
 const SCHEMAS: [&str; 1] = ["kubernetes-validate==1.37.0"];
@@ -68,8 +82,10 @@ const LANES: [&[Suite]; 2] = [&[Suite::Archive, Suite::Wheels], &[Suite::Ray]];
 /// Runs the named suites, or all of them if none is named. Filters select tests of the crates;
 /// with filters and no name, only the suite `rust` runs.
 pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<()> {
+    let mut without_simulators = Suite::value_variants().to_vec();
+    without_simulators.retain(|suite| *suite != Suite::Simulators);
     let suites = match (suites, filters) {
-        ([], []) => Suite::value_variants(),
+        ([], []) => without_simulators.as_slice(),
         ([], _) => &[Suite::Rust],
         _ => suites,
     };
@@ -169,6 +185,7 @@ impl Tests<'_> {
                 println!("Testing the demo, with fewer rollouts");
                 demo::check(root, programs)?;
             }
+            Suite::Simulators => simulators(root, cache)?,
         }
         Ok(())
     }
@@ -291,6 +308,23 @@ fn ray(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
         .arg(root.join("deploy/ray/tests"))
         .env("ROLLOUT_PROGRAMS", programs);
     run_command(&mut pytest)
+}
+
+/// Tests `rollout-env` with each simulator, in the simulator's environment.
+fn simulators(root: &Path, cache: &Path) -> Result<()> {
+    setup::opengl()?;
+    for (name, packages) in SIMULATORS {
+        println!("Testing rollout-env with {name}");
+        let dir = cache.join("simulators").join(name);
+        step(name, || environment(&dir, &[packages, &["imageio", "pytest>=7"]].concat()))?;
+        let mut pytest = Command::new(dir.join("bin/python"));
+        pytest
+            .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider", "-k", name])
+            .arg(root.join("python/tests/env/test_simulators.py"))
+            .env("PYTHONPATH", root.join("python/rollout_env"));
+        run_command(&mut pytest)?;
+    }
+    Ok(())
 }
 
 /// Checks licences, sources, bans and advisories of the dependencies, if cargo-deny is installed.

@@ -26,9 +26,11 @@ const BUILT_WITH: [&str; 6] = [
 ];
 /// Requirements of the wheels and of their tests, including another version of MuJoCo, whose
 /// symbols must not collide with this project's.
-const TESTED_WITH: [&str; 7] = [
+const TESTED_WITH: [&str; 8] = [
     "cloudpickle>=2",
     "gymnasium>=1.1",
+    // gymnasium's environments in MuJoCo import it.
+    "imageio",
     "mujoco>3.3.7",
     "numpy>=1.24",
     "pillow",
@@ -93,7 +95,7 @@ pub(crate) fn build(
     let library = root.join("target").join(compiled).join("deps/lib_native.so");
     let _ = std::fs::remove_file(library);
     run_command(&mut maturin)?;
-    for package in ["python/libero_shim", "policies"] {
+    for package in ["python/libero_shim", "python/rollout_env", "policies"] {
         let package = root.join(package);
         step("the wheel of a Python package", || {
             // setuptools would package stale files from this folder, including removed modules.
