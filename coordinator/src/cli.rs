@@ -12,6 +12,7 @@ mod export;
 mod extend;
 mod files;
 mod forecast;
+mod gate;
 mod horizon;
 mod interactions;
 mod jobs;
@@ -88,6 +89,8 @@ enum Command {
     /// Compare two policies, given as campaigns or result files, over the rollouts that both have
     /// run.
     Compare(compare::CompareArguments),
+    /// Decide whether a policy is worse than another, with as few rollouts as that takes.
+    Gate(gate::GateArguments),
     /// Find the minimal subsets of the axes that cause emergent failures and compensated successes.
     Explain(explain::ExplainArguments),
     /// Measure the radius at which each configuration's success turns to failure, and the radius at
@@ -147,6 +150,8 @@ pub(crate) fn run(arguments: Arguments) -> ExitCode {
         Ok(()) => return ExitCode::SUCCESS,
         Err(CommandError::Usage(error)) => (error, 2),
         Err(CommandError::Failure(error)) => (error, 1),
+        Err(CommandError::Answer(None, code)) => return ExitCode::from(code),
+        Err(CommandError::Answer(Some(error), code)) => (error, code),
     };
     if terminal::reader_is_gone(&*error) {
         return ExitCode::SUCCESS;
@@ -167,6 +172,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
         Command::Manifest(arguments) => manifest::manifest(&arguments),
         Command::Report(arguments) => report::report(arguments).await,
         Command::Compare(arguments) => compare::compare(arguments).await,
+        Command::Gate(arguments) => gate::gate(arguments).await,
         Command::Explain(arguments) => explain::explain(arguments).await,
         Command::Thresholds(arguments) => thresholds::thresholds(arguments).await,
         Command::Interactions(arguments) => interactions::interactions(arguments).await,

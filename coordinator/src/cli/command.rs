@@ -32,6 +32,8 @@ pub(super) enum CommandError {
     Usage(anyhow::Error),
     /// The command failed; exit code 1.
     Failure(anyhow::Error),
+    /// The command's answer is its exit code.
+    Answer(Option<anyhow::Error>, u8),
 }
 
 /// Prints a line to standard output.

@@ -23,9 +23,9 @@ use super::line::{line, operator_notes};
 use super::watch::LOG_PERIOD;
 
 /// Interval between two requests of a campaign's status.
-const POLL_INTERVAL: Duration = Duration::from_millis(500);
+pub(super) const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Pause after computing the next rollouts, as a multiple of the time that this took.
-const PAUSE_PER_COST: u32 = 4;
+pub(super) const PAUSE_PER_COST: u32 = 4;
 /// Rows after which a request to add some ends, at the next configuration: the rollouts of a
 /// configuration are added together, since its next ones follow from all of them.
 const ROWS_PER_REQUEST: usize = 500;

@@ -20,6 +20,7 @@ mod failpoints;
 mod faults;
 mod films;
 mod fingerprints;
+mod gate;
 mod harness;
 mod imports;
 mod invariants;

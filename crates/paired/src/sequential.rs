@@ -51,8 +51,10 @@
 mod campaign;
 mod e_process;
 mod measures;
+mod non_inferiority;
 mod order;
 
 pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
 pub use measures::{Look, RateInterval, SequentialMeasures};
+pub use non_inferiority::{ConditionEvidence, NonInferiority, Verdict};
 pub use order::{Drawn, Order, Unit};

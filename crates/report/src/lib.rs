@@ -38,6 +38,7 @@ pub use family_comparison::{FamilyComparison, FamilyComparisonError, PairedLine}
 pub use import::{BadLine, ImportError, import};
 pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
+pub use paper::{published_policies, published_rate};
 pub use sequential::{Sequential, describe_early_stop};
 pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Quarantined, Setups, Subject, counted,

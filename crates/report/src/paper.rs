@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::LazyLock;
 
-use benchmark::{Axis, Condition, Level, Look, Realisation, TaskRef};
+use benchmark::{Axis, Condition, Level, Look, Realisation, RolloutId, Suite, TaskRef};
 use serde::Deserialize;
 
 use crate::analysis::Analysis;
@@ -44,6 +44,27 @@ struct Cell {
 static PAPER: LazyLock<Paper> = LazyLock::new(|| {
     serde_json::from_str(include_str!("paper.json")).expect("the paper's figures are JSON")
 });
+
+/// Returns the names of the paper's policies.
+pub fn published_policies() -> Vec<&'static str> {
+    PAPER.policies.iter().map(|of| of.policy.as_str()).collect()
+}
+
+/// Returns the published success of a policy in rollouts like one: of its suite if it is nominal,
+/// otherwise under its condition at its level. `None` if the paper has no such figure.
+pub fn published_rate(policy: &str, id: RolloutId) -> Option<f64> {
+    let of = PAPER.policies.iter().find(|of| of.policy == policy)?;
+    let at = of.levels.get(&id.level());
+    match id.condition() {
+        Condition::Nominal => {
+            let suite = Suite::ALL.iter().position(|suite| *suite == id.task().suite())?;
+            Some(of.nominal[suite] * Suite::ALL.len() as f64 / NOMINAL)
+        }
+        Condition::Simultaneous => Some(at?.simultaneous / 100.0),
+        Condition::Single(axis) => Some(at?.alone.get(&axis)? / 100.0),
+        _ => None,
+    }
+}
 
 /// One policy at one level, measured or published; rates are fractions.
 pub(crate) struct Point {

@@ -2,6 +2,7 @@
 //! implementations, and simulated policies.
 
 mod comparison;
+mod non_inferiority;
 mod planted_effects;
 mod progress;
 mod published;

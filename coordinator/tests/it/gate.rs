@@ -1,0 +1,84 @@
+//! `coordinator gate` decides by its exit code, and continues where it was.
+
+use std::time::Instant;
+
+use benchmark::RolloutId;
+use paired::Outcome;
+use serde_json::Value;
+
+use crate::harness::Worker;
+use crate::process::{Serve, coordinator, succeed, text};
+use crate::search::{PATIENCE, Planted, run_all};
+
+/// Runs a gate to its end, with a worker that runs its rollouts. Returns the exit code and the answer.
+async fn gate(
+    serve: &Serve,
+    worker: &mut Worker,
+    arguments: &[&str],
+    planted: Planted,
+) -> (i32, Value) {
+    let arguments = [&["gate", "--json", "--connect", &serve.url], arguments].concat();
+    let arguments: Vec<String> = arguments.into_iter().map(str::to_owned).collect();
+    let gate = tokio::task::spawn_blocking(move || {
+        coordinator(&arguments.iter().map(String::as_str).collect::<Vec<_>>())
+    });
+    let began = Instant::now();
+    while !gate.is_finished() {
+        run_all(worker, planted).await;
+        assert!(began.elapsed() < PATIENCE, "the gate does not end");
+        tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+    }
+    let output = gate.await.expect("runs");
+    let answer = serde_json::from_str(text(&output.stdout)).unwrap_or_default();
+    (output.status.code().expect("a code"), answer)
+}
+
+fn succeeds(_: &RolloutId) -> Outcome {
+    Outcome::Success
+}
+
+/// A policy that fails under simultaneous perturbation only.
+fn is_fragile(id: &RolloutId) -> Outcome {
+    Outcome::from(id.config().is_none())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_exit_code_is_the_decision_and_the_same_command_continues() {
+    let (_folder, serve) = Serve::anew();
+    #[rustfmt::skip]
+    let create = [
+        "campaign", "create", "--name", "first", "--policy", "p",
+        "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object", "--axes", "camera,sensor",
+        "--levels", "L2", "--nominal", "all", "--no-probe",
+    ];
+    succeed(serve.command(&create));
+    let nominal = ["--policy", "q", "--against", "first"];
+    let mut worker = serve.worker("w").await;
+    // The other campaign is not finished.
+    assert_eq!(gate(&serve, &mut worker, &nominal, succeeds).await.0, 3);
+    run_all(&mut worker, succeeds).await;
+
+    let few = [&nominal[..], &["--budget", "40"]].concat();
+    let (code, answer) = gate(&serve, &mut worker, &few, is_fragile).await;
+    assert_eq!((code, &answer["rollouts"]), (2, &Value::from(40)), "{answer}");
+    let (code, answer) = gate(&serve, &mut worker, &nominal, is_fragile).await;
+    assert_eq!((code, &answer["verdict"]), (0, &Value::from("not_worse")), "{answer}");
+    assert!(answer["rollouts"].as_u64().is_some_and(|rollouts| rollouts < 500), "{answer}");
+    assert_eq!(gate(&serve, &mut worker, &nominal, is_fragile).await, (code, answer));
+
+    let both = ["--policy", "q", "--against", "first", "--name", "both"];
+    let both = [&both[..], &["--conditions", "nominal,simultaneous"]].concat();
+    let (code, answer) = gate(&serve, &mut worker, &both, is_fragile).await;
+    assert_eq!((code, &answer["conditions"][1]["verdict"]), (1, &Value::from("worse")), "{answer}");
+    let published = ["--policy", "q", "--against", "published:π0.5", "--name", "paper"];
+    let published = [&published[..], &["--endpoint", "http://127.0.0.1:50051"]].concat();
+    assert_eq!(gate(&serve, &mut worker, &published, is_fragile).await.0, 1);
+    for (wrong, reason) in [
+        (["--against", "published:nobody"], "it measured π0.5, OpenVLA-OFT"),
+        (["--against", "absent"], "absent"),
+    ] {
+        let output = serve.command(&[&["gate", "--policy", "q"], &wrong[..]].concat());
+        assert_eq!(output.status.code(), Some(3), "{reason}");
+        assert!(text(&output.stderr).contains(reason), "{}", text(&output.stderr));
+    }
+}
