@@ -62,7 +62,8 @@ pub async fn unpack(
     let archive = || name.to_owned();
     let films = contents.members[MEMBERS.len()..].iter();
     let films = films.map(|film| (film.name.as_str(), film.bytes));
-    let altered = |member, problem| ArchiveReader { archive: name }.altered(member, problem);
+    let altered =
+        |member, problem| ArchiveReader { archive: name, min_free_bytes }.altered(member, problem);
     let text = |member| {
         let text = std::fs::read_to_string(into.join(member));
         text.map_err(|_| altered(member, "it is not UTF-8 text"))

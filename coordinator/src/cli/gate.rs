@@ -20,10 +20,10 @@ use report::{Document, Subject};
 use serde::Serialize;
 use terminal::{counted, decimal, number, number_from};
 
-use super::command::{CommandError, Connection, failure, print_line, usage};
+use super::command::{CommandError, Connection, failure, usage};
 use super::json;
 use super::line::{line, operator_notes};
-use super::search::{PAUSE_PER_COST, POLL_INTERVAL, spec};
+use super::search::{PAUSE_PER_COST, POLL_INTERVAL};
 use super::watch::LOG_PERIOD;
 
 /// Rollouts that wait, so that no slot is idle: further ones are added below half of this number.
@@ -145,10 +145,7 @@ async fn decide(arguments: &GateArguments) -> Result<Verdict, CommandError> {
         rollouts,
         conditions: &evidence,
     };
-    match arguments.json {
-        true => json::print(&decision)?,
-        false => print_line(&decision.text())?,
-    }
+    json::print_or(arguments.json, &decision, || decision.text())?;
     Ok(verdict)
 }
 
@@ -184,7 +181,7 @@ impl Reference {
                 counted(open, "rollout")
             )));
         }
-        let spec = spec(client, against).await?;
+        let spec = client.specification(against).await?;
         let rows = spec.expand().map_err(usage)?.into_iter();
         let rows: BTreeMap<_, _> = rows.map(|row| (row.id, row)).collect();
         let subject = client.report(against).await?;
