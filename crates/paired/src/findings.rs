@@ -1,5 +1,5 @@
 //! Findings of a report as sentences. Every sentence follows from figures of the report;
-//! docs/REPORT.md lists the condition under which each sentence is written.
+//! docs/dev/STATISTICS.md lists the condition under which each sentence is written.
 
 use std::collections::BTreeMap;
 
