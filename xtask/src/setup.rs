@@ -37,7 +37,7 @@ pub(crate) fn run(root: &Path) -> Result<PathBuf> {
 }
 
 /// Sets up what a build needs. Returns the cache folder.
-pub(crate) fn linker(root: &Path) -> Result<PathBuf> {
+pub(crate) fn for_building(root: &Path) -> Result<PathBuf> {
     println!("Setting up");
     let cache = cache_dir()?;
     step("tools", tools)?;

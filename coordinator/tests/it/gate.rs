@@ -70,7 +70,7 @@ async fn the_exit_code_is_the_decision_and_the_same_command_continues() {
     let both = [&both[..], &["--conditions", "nominal,simultaneous"]].concat();
     let (code, answer) = gate(&serve, &mut worker, &both, is_fragile).await;
     assert_eq!((code, &answer["conditions"][1]["verdict"]), (1, &Value::from("worse")), "{answer}");
-    let published = ["--policy", "q", "--against", "published:π0.5", "--name", "paper"];
+    let published = ["--policy", "q", "--against", "published:pi05", "--name", "paper"];
     let published = [&published[..], &["--endpoint", "http://127.0.0.1:50051"]].concat();
     assert_eq!(gate(&serve, &mut worker, &published, is_fragile).await.0, 1);
     for (wrong, reason) in [

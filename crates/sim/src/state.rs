@@ -72,8 +72,6 @@ impl Environment {
         self.control_steps = 0;
         self.observed_substep = SUBSTEPS;
         self.observe_now();
-        // Discards warnings of an earlier rollout.
-        mujoco::take_warnings();
         Ok(rounds)
     }
 
