@@ -31,7 +31,7 @@ const GL_LIBRARIES: [&str; 4] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0", 
 
 /// Sets up the machine, skipping completed steps. Returns the cache folder.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
-    let cache = linker(root)?;
+    let cache = for_building(root)?;
     sources(&cache)?;
     Ok(cache)
 }

@@ -74,7 +74,6 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
 fn the_nominal_rows_of_liberos_family_are_those_of_unperturbed_tasks() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("spec.json");
-    let valid = || vec![all[7].clone(), all[6].clone()];
     let noise = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
     std::fs::write(&path, plus_spec(noise).to_string()).expect("written");
     let spec = ["--spec", path.to_str().expect("UTF-8"), "--split"];

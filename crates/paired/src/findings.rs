@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
-use crate::inference::hypotheses::holm;
+use crate::inference::hypotheses::{EQUIVALENCE_MARGIN, holm};
 use crate::inference::loss::Loss;
 use crate::replication::Flips;
 use crate::report::{Cell, Report};
@@ -29,12 +29,12 @@ const EQUIVALENCE_ALPHA: f64 = 0.05;
 /// direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells: Vec<&Cell> = report.cells.iter().collect();
-    let claims = Claims::new(&cells);
+    let corrected = CorrectedPValues::new(&cells);
     let mut findings = Vec::new();
     for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
         findings.extend(cost(cell));
-        findings.extend(simultaneity(cell, report, &claims));
-        findings.extend(directions(cell, &claims));
+        findings.extend(simultaneity(cell, report, &corrected));
+        findings.extend(directions(cell, &corrected));
     }
     findings
 }

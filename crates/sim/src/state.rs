@@ -8,7 +8,7 @@ use crate::compiled_scene::{Burner, hide_marker_sites};
 use crate::controller::{Controller, SUBSTEPS};
 use crate::environment::{Environment, JointReadings};
 use crate::error::SimError;
-use crate::mujoco::{self, Data, Model};
+use crate::mujoco::{Data, Model};
 use crate::reset::Reset;
 
 /// Environments of one compiled scene can exchange snapshots.
