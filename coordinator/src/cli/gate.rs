@@ -255,10 +255,13 @@ async fn run(
                 let new = unit.iter().filter(|id| !outcomes.contains_key(id));
                 let new: Vec<&ManifestRow> = new.map(|id| &reference.rows[id]).collect();
                 let count = new.len() as u64;
+                if count == 0 {
+                    continue;
+                }
                 if used + count > budget {
                     break;
                 }
-                is_exhausted &= count == 0;
+                is_exhausted = false;
                 if room == 0 {
                     break;
                 }
