@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-use tests::programs::{Process, program};
+use tests::programs::{Campaigns, Process, program};
 
 fn gateway(arguments: &[&str]) -> Process {
     let mut command = Command::new(program("policy-gateway"));
@@ -59,4 +59,52 @@ fn a_recorded_rollout_replays_identically_without_its_server() {
     let errors = String::from_utf8_lossy(&unrecorded.stderr);
     assert!(!unrecorded.status.success() && outcome.is_none(), "{errors}");
     assert!(errors.contains("record that rollout first"), "{errors}");
+}
+
+#[test]
+fn a_capsule_repeats_a_rollout_without_policy_and_coordinator() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("f.capsule");
+    let path = file.to_str().unwrap();
+    let id = "object/t0/simultaneous/L2/c00";
+    {
+        let campaigns = Campaigns::start(&folder.path().join("data"));
+        #[rustfmt::skip]
+        campaigns.succeed(&[
+            "campaign", "create", "--name", "stored", "--policy", "expert", "--endpoint",
+            &campaigns.gateway.url, "--tasks", "libero_object/0", "--axes", "camera,robot,actuation",
+            "--levels", "L2", "--configs", "0", "--execution", "hold:2", "--record", "transitions",
+        ]);
+        let early = campaigns.call(&["jobs", "stored", id, "--capsule", path]);
+        assert_eq!(early.status.code(), Some(1));
+        let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
+        campaigns.wait_for_commits("stored", None);
+        campaigns.succeed(&["jobs", "stored", id, "--capsule", path]);
+    }
+    let repeat = || {
+        let output = folder.path().join("repeated");
+        let mut worker = Command::new(program("worker"));
+        worker.args(["rollout", "--assets", "primitives", "--no-video", "--capsule", path]);
+        worker.arg("--output").arg(output).output().unwrap()
+    };
+    let repeated = repeat();
+    let printed = String::from_utf8_lossy(&repeated.stdout);
+    assert!(repeated.status.success(), "{repeated:?}");
+    assert!(printed.contains("the same outcome, scene, initial state and path"), "{printed}");
+
+    let mut capsule: serde_json::Value =
+        serde_json::from_slice(&std::fs::read(&file).unwrap()).unwrap();
+    for number in capsule["actions"][20].as_array_mut().unwrap() {
+        *number = serde_json::json!(0.5);
+    }
+    capsule["measurement"]["provenance"]["mujoco_version"] = serde_json::json!("3.2.0");
+    std::fs::write(&file, capsule.to_string()).unwrap();
+    let altered = repeat();
+    let errors = String::from_utf8_lossy(&altered.stderr);
+    assert_eq!(altered.status.code(), Some(1), "{errors}");
+    for words in
+        ["MuJoCo 3.3.7, in the capsule 3.2.0", "another path of the robot from control step"]
+    {
+        assert!(errors.contains(words), "{words}: {errors}");
+    }
 }

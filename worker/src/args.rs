@@ -231,8 +231,8 @@ pub struct SimulatorArguments {
 /// A single rollout and its policy or actions.
 #[derive(Debug, Args)]
 #[command(
-    group = ArgGroup::new("case").required(true).multiple(true).args(["id", "bddl"]),
-    group = ArgGroup::new("actor").required(true).args(["endpoint", "actions"]),
+    group = ArgGroup::new("case").required(true).multiple(true).args(["id", "bddl", "capsule"]),
+    group = ArgGroup::new("actor").required(true).args(["endpoint", "actions", "capsule"]),
 )]
 pub struct RolloutArguments {
     /// The rollout, for example spatial/t0/camera/L2/c00, spatial/t0/nominal/i07 or
@@ -251,6 +251,10 @@ pub struct RolloutArguments {
     /// A task of your own
     #[command(flatten)]
     pub own_task: OwnTaskArguments,
+    /// Repeats a finished rollout of a campaign from its actions, which `coordinator jobs --capsule`
+    /// wrote, and fails if it ends otherwise or the robot moves otherwise
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["id", "bddl", "replicate", "realisation", "execution"])]
+    pub capsule: Option<PathBuf>,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: Option<String>,

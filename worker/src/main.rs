@@ -11,8 +11,9 @@ use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
 use anyhow::{Context, bail};
+use benchmark::attempt::Capsule;
 use benchmark::family::protocol::Protocol;
-use benchmark::{ManifestRow, RolloutId, TaskRef};
+use benchmark::{Execution, ManifestRow, RolloutId, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -27,7 +28,7 @@ use worker::args::{
 use worker::assets::Provider;
 use worker::child::SlotProgram;
 use worker::ids::{WorkerId, host_name, machine, random_number};
-use worker::message::{Assignment, VideoOf, VideoRequest};
+use worker::message::{Assignment, Finished, VideoOf, VideoRequest};
 use worker::policy::{PolicyClient, ROLLOUT_SETTINGS};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
@@ -171,12 +172,21 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     Ok(())
 }
 
-fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
+fn run_rollout(mut arguments: RolloutArguments) -> anyhow::Result<()> {
     let own_task = own_task(&arguments);
-    let mut row = match (&own_task, arguments.id) {
-        (Some(task), _) => task.row()?,
-        (None, Some(id)) => row(id, arguments.protocol, arguments.suite_file.as_deref())?,
-        (None, None) => unreachable!("clap requires --id or --bddl"),
+    let capsule = arguments.capsule.as_deref().map(read_capsule).transpose()?;
+    let mut row = match (&own_task, arguments.id, &capsule) {
+        (.., Some(capsule)) => {
+            let provenance = &capsule.measurement.provenance;
+            arguments.realisation = provenance.realisation.parse()?;
+            arguments.replicate = capsule.replicate;
+            arguments.simulator.look = provenance.pin.look;
+            // The actions are those that were executed while answers were under way, too.
+            ManifestRow { execution: Execution::Wait, ..capsule.manifest_row.clone() }
+        }
+        (Some(task), ..) => task.row()?,
+        (None, Some(id), None) => row(id, arguments.protocol, arguments.suite_file.as_deref())?,
+        (None, None, None) => unreachable!("clap requires --id, --bddl or --capsule"),
     };
     if row.id.condition().sets_execution() && !arguments.execution.is_wait() {
         bail!(
@@ -187,9 +197,16 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             row.execution
         );
     }
-    let mut actor: Box<dyn Actor> = match (&arguments.actions, &arguments.endpoint) {
-        (Some(file), _) => {
-            let recorded = RecordedActions::read(file)?;
+    let recorded = match (&arguments.actions, &arguments.capsule, &capsule) {
+        (_, Some(file), Some(capsule)) => {
+            let actions = capsule.actions.iter().map(|action| action.map(f64::from));
+            Some(RecordedActions::new(file, actions.collect())?)
+        }
+        (Some(file), ..) => Some(RecordedActions::read(file)?),
+        _ => None,
+    };
+    let mut actor: Box<dyn Actor> = match (recorded, &arguments.endpoint) {
+        (Some(recorded), _) => {
             row.max_steps = row.max_steps.min(recorded.count());
             Box::new(recorded)
         }
@@ -198,7 +215,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             &arguments.access.access(&[Role::Worker, Role::Operator])?,
             ROLLOUT_SETTINGS,
         )?),
-        (None, None) => unreachable!("clap requires --endpoint or --actions"),
+        (None, None) => unreachable!("clap requires --endpoint, --actions or --capsule"),
     };
     let mut simulator = open_simulator(&arguments.simulator)?;
     let (mut files, mut start) = (own_task.as_ref().map(OwnTask::files), None);
@@ -210,6 +227,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let of_scene = files.clone().unwrap_or_else(of_task);
     simulator.pack = wide_enough(simulator.pack, iter::once(of_scene.clone()))?;
     simulator.pack.provide_with_bar(&[of_scene])?;
+    let pack = simulator.pack.digest().to_owned();
     let mut simulator = Simulator::new(simulator);
     let assignment = Assignment {
         policy: arguments.policy.unwrap_or_default(),
@@ -231,7 +249,8 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         renders_ends: !arguments.no_video,
         output: &arguments.output,
     };
-    let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;
+    let finished = single::run(&mut simulator, actor.as_mut(), &request)?;
+    let result = &finished.result;
     print_line(&format!(
         "{}: {} after {} in {:.1} s; see {}",
         own_task
@@ -241,7 +260,30 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         result.wall_secs,
         arguments.output.display()
     ))?;
-    Ok(())
+    capsule.map_or(Ok(()), |capsule| compare(&capsule, &finished, &pack))
+}
+
+fn read_capsule(file: &Path) -> anyhow::Result<Capsule> {
+    let read = || Ok::<_, anyhow::Error>(serde_json::from_slice(&std::fs::read(file)?)?);
+    read().with_context(|| {
+        format!("read {}; `coordinator jobs --capsule` writes capsules", file.display())
+    })
+}
+
+/// Compares a repetition with its capsule; fails if anything differs that the actions determine.
+fn compare(capsule: &Capsule, repeated: &Finished, asset_pack: &str) -> anyhow::Result<()> {
+    let pins = capsule.other_pins(asset_pack, &Simulator::mujoco_version());
+    let differences = capsule.differences(&repeated.result, &repeated.motion);
+    if !pins.is_empty() {
+        terminal::complain(&format!("simulated with {}", pins.join("; ")));
+    }
+    anyhow::ensure!(
+        differences.is_empty(),
+        "repeat the rollout of campaign {}: {}",
+        capsule.campaign,
+        differences.join("; ")
+    );
+    print_line("the same outcome, scene, initial state and path of the robot as in the capsule")
 }
 
 /// Returns the row of a rollout of LIBERO-CTRL, of LIBERO's family or of a suite file.

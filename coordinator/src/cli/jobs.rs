@@ -1,5 +1,7 @@
 //! `coordinator jobs`.
 
+use std::path::{Path, PathBuf};
+
 use anyhow::anyhow;
 use benchmark::RolloutId;
 use clap::{ArgGroup, Args};
@@ -16,6 +18,7 @@ use serde::Serialize;
 use terminal::{counted, number_from};
 
 use super::command::{CommandError, Connection, failure, print_line, usage};
+use super::files::AtomicFile;
 use super::json;
 
 /// Page size of `ListJobs` requests, jobs.
@@ -29,6 +32,7 @@ Examples:
   coordinator jobs first --outcome failure --condition simultaneous
   coordinator jobs first --task libero_object/0 --level L2 --json
   coordinator jobs first object/t0/camera/L2/c03      # one with all its attempts
+  coordinator jobs first object/t0/camera/L2/c03 --capsule f.capsule
   coordinator jobs first --retry                      # requeues all in quarantine";
 
 #[derive(Args, Debug)]
@@ -69,6 +73,11 @@ pub(super) struct JobsArguments {
     #[arg(long, group = "filters", default_value_t = 50,
         value_parser = number_from(1_u32, "rollouts"))]
     limit: u32,
+    /// Write a finished rollout to a file that `worker rollout --capsule` repeats, without its policy
+    /// and the coordinator; the campaign must store actions (`--record transitions`).
+    #[arg(long, value_name = "FILE", requires = "rollouts",
+        conflicts_with_all = ["retry", "skip", "json", "filters"])]
+    capsule: Option<PathBuf>,
     /// Print JSON, as docs/JSON.md describes it.
     #[arg(long, conflicts_with_all = ["retry", "skip"])]
     json: bool,
@@ -103,7 +112,11 @@ pub(super) async fn jobs(arguments: JobsArguments) -> Result<(), CommandError> {
     }
     match <[JobName; 1]>::try_from(jobs) {
         Ok([job]) => {
-            show(&client, GetJobRequest { campaign, job: Some(job) }, arguments.json).await
+            let request = GetJobRequest { campaign, job: Some(job) };
+            match &arguments.capsule {
+                Some(file) => write_capsule(&client, request, file).await,
+                None => show(&client, request, arguments.json).await,
+            }
         }
         Err(none) if none.is_empty() => list(&client, arguments).await,
         Err(_) => Err(usage(anyhow!(
@@ -148,8 +161,29 @@ async fn list(client: &Client, arguments: JobsArguments) -> Result<(), CommandEr
 }
 
 async fn show(client: &Client, request: GetJobRequest, json: bool) -> Result<(), CommandError> {
-    let (now, details) = client.ask_at(request, Service::get_job).await?;
+    let (now, mut details): (_, JobDetails) = client.ask_at(request, Service::get_job).await?;
+    details.capsule = None;
     if json { json::print(&details) } else { Ok(print_line(&describe_job(&details, now)?)?) }
+}
+
+async fn write_capsule(
+    client: &Client,
+    request: GetJobRequest,
+    file: &Path,
+) -> Result<(), CommandError> {
+    let details: JobDetails = client.ask(request, Service::get_job).await?;
+    let name = replicate_name(&details.job);
+    let capsule =
+        details.capsule.filter(|capsule| !capsule.actions.is_empty()).ok_or_else(|| {
+            failure(anyhow!(
+                "make a capsule of {name}: it has no stored actions; campaigns with `--record \
+             transitions` store those of finished rollouts"
+            ))
+        })?;
+    let mut written = AtomicFile::create(file)?;
+    serde_json::to_writer(written.writer(), &capsule).map_err(failure)?;
+    written.finish()?;
+    Ok(print_line(&format!("wrote {name} to {}", file.display()))?)
 }
 
 /// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.

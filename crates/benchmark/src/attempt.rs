@@ -3,12 +3,14 @@
 //! slot's messages, on the wire and in the database.
 
 mod backoff;
+mod capsule;
 mod id;
 mod provenance;
 mod realised;
 mod result;
 
 pub use backoff::{Backoff, Waits};
+pub use capsule::Capsule;
 pub use id::{AttemptId, AttemptIdError, shortened};
 pub use provenance::{
     CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, MAX_SETTINGS, MAX_TEXT_BYTES, Pin,

@@ -149,13 +149,16 @@ pub fn compose(
         model.merge_assets(&part.part);
         model.worldbody_mut().children.push(part.body.clone());
     }
-    if pack.look() == Look::Mujoco332 {
-        // MuJoCo 3.3.7 otherwise takes the colour space from the file.
-        for asset in &mut model.root.child_mut("asset").children {
-            if asset.tag == "texture" && asset.get("file").is_some() {
-                asset.set("colorspace", "linear");
+    match pack.look() {
+        Look::Mujoco332 => {
+            for asset in &mut model.root.child_mut("asset").children {
+                if asset.tag == "texture" && asset.get("file").is_some() {
+                    asset.set("colorspace", "linear");
+                }
             }
         }
+        // MuJoCo 3.3.7 takes the colour space from the file.
+        Look::Mujoco333 => {}
     }
     let samplers = Samplers::new(problem, &arena, &parts, &regions)?;
     let scene = Scene {

@@ -34,6 +34,12 @@ impl RecordedActions {
     pub fn read(path: &Path) -> Result<Self, SingleError> {
         let failed = |problem: String| SingleError::Recorded { path: path.to_owned(), problem };
         let actions = read_actions(path).map_err(failed)?;
+        Self::new(path, actions)
+    }
+
+    /// Takes the actions that a file holds.
+    pub fn new(path: &Path, actions: Vec<Action>) -> Result<Self, SingleError> {
+        let failed = |problem: String| SingleError::Recorded { path: path.to_owned(), problem };
         for (row, action) in actions.iter().enumerate() {
             if let Some(index) = action.iter().position(|number| !number.is_finite()) {
                 let number = action[index];

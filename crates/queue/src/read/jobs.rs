@@ -1,6 +1,6 @@
 //! Jobs, with their attempts.
 
-use benchmark::attempt::GoalProgress;
+use benchmark::attempt::{Capsule, GoalProgress, Measurement, Motion};
 use benchmark::{Condition, Level, Look, ManifestRow};
 use serde::ser::Error;
 use serde::{Deserialize, Serialize, Serializer};
@@ -108,6 +108,9 @@ pub struct JobDetails {
     pub result: Option<ResultOrigin>,
     /// Attempts that ended without a result, newest first.
     pub failures: Vec<FailureLine>,
+    /// The finished rollout, to be repeated elsewhere.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub capsule: Option<Capsule>,
 }
 
 fn sort_keys<S: Serializer>(row: &ManifestRow, serializer: S) -> Result<S::Ok, S::Error> {
@@ -214,13 +217,42 @@ impl View {
                 .await
                 .doing("read a job")?;
         let ids = [job.job_id];
+        let result = self.results(&ids).await?.into_iter().next();
+        let capsule = match &result {
+            None => None,
+            Some(result) => {
+                let motion = self.motion(job.job_id).await?;
+                Some(Capsule {
+                    campaign: campaign.name.to_string(),
+                    replicate: job.replicate,
+                    manifest_row: ManifestRow::clone(&manifest_row),
+                    measurement: Measurement {
+                        result: result.outcome.0.clone(),
+                        provenance: result.provenance.clone(),
+                    },
+                    path: motion.path(),
+                    actions: motion.actions(),
+                })
+            }
+        };
         Ok(JobDetails {
+            failures: self.failures(&ids).await?,
             job,
             manifest_row,
             late_reports,
-            result: self.results(&ids).await?.into_iter().next().map(ResultOrigin::from),
-            failures: self.failures(&ids).await?,
+            result: result.map(ResultOrigin::from),
+            capsule,
         })
+    }
+
+    async fn motion(&mut self, job: JobId) -> Result<Motion, StoreError> {
+        let motion: (Vec<u8>, Vec<u8>) =
+            sqlx::query_as("SELECT path, actions FROM motion WHERE job_id = ?")
+                .bind(job)
+                .fetch_one(self.tx())
+                .await
+                .doing("read a robot's motion")?;
+        Ok(Motion { path: motion.0, actions: motion.1 })
     }
 
     /// Returns the attempts of `jobs` that ended without a result, in descending order of their
