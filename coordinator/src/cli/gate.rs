@@ -11,7 +11,7 @@ use benchmark::{
 };
 use clap::Args;
 use coordinator::client::{Client, Service};
-use paired::{ConditionEvidence, NonInferiority, Outcome, Verdict};
+use paired::{Bisection, ConditionEvidence, NonInferiority, Outcome, Verdict};
 use proto::coordinator::change_campaign_request::Change;
 use proto::coordinator::{
     AppendRowsRequest, AppendedRow, ChangeCampaignRequest, CreateCampaignRequest,
@@ -20,7 +20,7 @@ use report::{Document, Subject};
 use serde::Serialize;
 use terminal::{counted, decimal, number, number_from};
 
-use super::command::{CommandError, Connection, failure, usage};
+use super::command::{CommandError, Connection, failure, print_line, usage};
 use super::json;
 use super::line::{line, operator_notes};
 use super::search::{PAUSE_PER_COST, POLL_INTERVAL};
@@ -39,15 +39,17 @@ Exit codes: 0 not worse, 1 worse, 2 undecided within the budget, 3 not comparabl
 
 Examples:
   coordinator gate --policy step-20000 --against step-10000-ctrl
+  coordinator gate --policy step-1000,step-2000,step-3000 --against step-0-standard
   coordinator gate --policy pi05 --against published:pi05 \\
       --endpoint http://127.0.0.1:7412 --conditions nominal --budget 500";
 
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 pub(super) struct GateArguments {
-    /// Policy to be judged, by its name at the endpoint.
-    #[arg(long)]
-    policy: String,
+    /// Policy to be judged, by its name at the endpoint. Of several, such as the checkpoints of a
+    /// training in their order, the first that is worse is found by bisection.
+    #[arg(long = "policy", value_name = "POLICY", value_delimiter = ',', required = true)]
+    policies: Vec<String>,
     /// What it must not be worse than: a finished campaign of another policy, whose outcomes are
     /// used; or `published:POLICY`, the rates of a policy of the paper.
     #[arg(long, value_name = "CAMPAIGN")]
@@ -68,7 +70,7 @@ pub(super) struct GateArguments {
     /// Seed of the random order of the rollouts.
     #[arg(long, default_value_t = 0, value_parser = number_from(0_u64, ""), hide_short_help = true)]
     seed: u64,
-    /// Name of the campaign that runs the rollouts; the same name continues it.
+    /// Name of the campaign that runs a single policy's rollouts; the same name continues it.
     /// [default: POLICY-against-CAMPAIGN]
     #[arg(long)]
     name: Option<String>,
@@ -92,16 +94,24 @@ struct Reference {
     execution: Execution,
 }
 
-/// The decision as JSON.
+/// The decisions as JSON.
+#[derive(Serialize)]
+struct Decisions<'a> {
+    /// The first policy that is worse; `None` if none is, or if it is unknown.
+    first_worse: Option<&'a str>,
+    /// In the order in which they were taken.
+    decisions: Vec<Decision<'a>>,
+}
+
 #[derive(Serialize)]
 struct Decision<'a> {
     policy: &'a str,
     against: &'a str,
-    campaign: &'a str,
+    campaign: String,
     verdict: Verdict,
     margin: f64,
     rollouts: u64,
-    conditions: &'a [ConditionEvidence],
+    conditions: Vec<ConditionEvidence>,
 }
 
 /// Decides; every failure has the exit code of policies that cannot be compared, since 1 and 2 are
@@ -127,26 +137,56 @@ async fn decide(arguments: &GateArguments) -> Result<Verdict, CommandError> {
     let planned: BTreeSet<Condition> = evidence.iter().map(|of| of.condition).collect();
     if let Some(absent) = arguments.conditions.iter().find(|of| !planned.contains(of)) {
         return Err(usage(anyhow!(
-            "judge `{}` under `{absent}`: `{}` has no such rollouts; name others with --conditions",
-            arguments.policy,
+            "judge a policy under `{absent}`: `{}` has no such rollouts; name others with \
+             --conditions",
             arguments.against
         )));
     }
+    let policies = &arguments.policies;
+    if arguments.name.is_some() && policies.len() > 1 {
+        return Err(usage(anyhow!(
+            "name one campaign for {} policies: leave out --name",
+            policies.len()
+        )));
+    }
+    let mut decisions = Vec::new();
+    let mut bisection = Bisection::new(policies.len());
+    while let Some(next) = bisection.next() {
+        let decision = judge(&client, arguments, &reference, &plan, &policies[next]).await?;
+        if !arguments.json {
+            print_line(&decision.text())?;
+        }
+        bisection.record(decision.verdict);
+        decisions.push(decision);
+    }
+    let first_worse = bisection.first_worse().map(|first| policies[first].as_str());
+    if arguments.json {
+        json::print(&Decisions { first_worse, decisions })?;
+    } else if let Some(first) = first_worse.filter(|_| policies.len() > 1) {
+        print_line(&format!("the first that is worse: {first}"))?;
+    }
+    Ok(bisection.verdict())
+}
+
+async fn judge<'a>(
+    client: &Client,
+    arguments: &'a GateArguments,
+    reference: &Reference,
+    plan: &NonInferiority,
+    policy: &'a str,
+) -> Result<Decision<'a>, CommandError> {
     let plain = arguments.against.replace(':', "-");
-    let name = arguments.name.clone().unwrap_or(format!("{}-against-{plain}", arguments.policy));
-    let (evidence, rollouts) = run(&client, arguments, &reference, &plan, &name).await?;
-    let verdict = Verdict::of_all(evidence.iter().map(|of| of.verdict));
-    let decision = Decision {
-        policy: &arguments.policy,
+    let campaign = arguments.name.clone().unwrap_or(format!("{policy}-against-{plain}"));
+    let (evidence, rollouts) = run(client, arguments, reference, plan, policy, &campaign).await?;
+    Ok(Decision {
+        policy,
         against: &arguments.against,
-        campaign: &name,
-        verdict,
+        campaign,
+        verdict: Verdict::of_all(evidence.iter().map(|of| of.verdict)),
         margin: arguments.margin / 100.0,
         rollouts,
-        conditions: &evidence,
-    };
-    json::print_or(arguments.json, &decision, || decision.text())?;
-    Ok(verdict)
+        conditions: evidence,
+    })
 }
 
 impl Reference {
@@ -211,16 +251,16 @@ async fn run(
     arguments: &GateArguments,
     reference: &Reference,
     plan: &NonInferiority,
+    policy: &str,
     name: &str,
 ) -> Result<(Vec<ConditionEvidence>, u64), CommandError> {
     let budget = arguments.budget.map_or(u64::MAX, u64::from);
     let mut shown: Option<Instant> = None;
     let mut status = match client.list_campaigns().await?.into_iter().find(|of| of.name == name) {
-        Some(status) if status.policy == arguments.policy => Some(status),
+        Some(status) if status.policy == policy => Some(status),
         Some(status) => {
             return Err(usage(anyhow!(
-                "judge `{}` in campaign `{name}`: it is one of `{}`; choose another name with --name",
-                arguments.policy,
+                "judge `{policy}` in campaign `{name}`: it is one of `{}`; choose another name with --name",
                 status.policy
             )));
         }
@@ -278,7 +318,7 @@ async fn run(
             }
             return Ok((evidence, known as u64));
         }
-        add(client, arguments, reference, name, rows, status.is_some()).await?;
+        add(client, arguments, reference, (policy, name), rows, status.is_some()).await?;
         let now = client.campaign_status(name).await?;
         if shown.is_none_or(|shown| shown.elapsed() >= LOG_PERIOD) {
             let notes = operator_notes(&now).map_or_else(String::new, |notes| notes + "\n");
@@ -295,7 +335,7 @@ async fn add(
     client: &Client,
     arguments: &GateArguments,
     reference: &Reference,
-    name: &str,
+    (policy, name): (&str, &str),
     rows: Vec<&ManifestRow>,
     exists: bool,
 ) -> Result<(), CommandError> {
@@ -314,11 +354,11 @@ async fn add(
         return Ok(());
     }
     let endpoint = arguments.endpoint.clone().or(reference.endpoint.clone());
-    let endpoint = endpoint
-        .ok_or_else(|| usage(anyhow!("find policy `{}`: give its --endpoint", arguments.policy)))?;
+    let endpoint =
+        endpoint.ok_or_else(|| usage(anyhow!("find policy `{policy}`: give its --endpoint")))?;
     let spec = CampaignSpec {
         name: name.to_owned(),
-        policy: PolicyRoute { name: arguments.policy.clone(), endpoint },
+        policy: PolicyRoute { name: policy.to_owned(), endpoint },
         rollouts: Rollouts::Rows(rows.into_iter().cloned().collect()),
         purpose: None,
         realisation: reference.realisation,

@@ -57,6 +57,6 @@ pub use report::{
     TaskSuccess,
 };
 pub use sequential::{
-    CampaignLook, ConditionEvidence, Drawn, Look, NonInferiority, Order, RateInterval,
+    Bisection, CampaignLook, ConditionEvidence, Drawn, Look, NonInferiority, Order, RateInterval,
     SEQUENTIAL_ALPHA, SequentialMeasures, Unit, Verdict, drawn_order,
 };

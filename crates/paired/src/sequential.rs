@@ -56,5 +56,5 @@ mod order;
 
 pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
 pub use measures::{Look, RateInterval, SequentialMeasures};
-pub use non_inferiority::{ConditionEvidence, NonInferiority, Verdict};
+pub use non_inferiority::{Bisection, ConditionEvidence, NonInferiority, Verdict};
 pub use order::{Drawn, Order, Unit};

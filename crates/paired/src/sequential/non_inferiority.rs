@@ -218,6 +218,54 @@ impl Verdict {
     }
 }
 
+/// Bisection for the first policy that is worse, of several in an order in which all later ones are
+/// worse, too.
+#[derive(Clone, Debug)]
+pub struct Bisection {
+    /// Policies before it are not worse.
+    sound: usize,
+    /// Policies from it on are worse.
+    worse: usize,
+    next: Option<usize>,
+    policies: usize,
+}
+
+impl Bisection {
+    /// Begins with the last policy: if it is not worse, nothing need be searched.
+    pub fn new(policies: usize) -> Self {
+        Self { sound: 0, worse: policies, next: policies.checked_sub(1), policies }
+    }
+
+    /// Returns the policy to judge next; `None` if the first worse one is known, or cannot be.
+    pub fn next(&self) -> Option<usize> {
+        self.next
+    }
+
+    /// Records the answer about the next policy; one that is undecided ends the search.
+    pub fn record(&mut self, verdict: Verdict) {
+        let Some(judged) = self.next.take() else { return };
+        match verdict {
+            Verdict::NotWorse => self.sound = judged + 1,
+            Verdict::Worse => self.worse = judged,
+            Verdict::Undecided => return,
+        }
+        self.next = (self.sound < self.worse).then(|| usize::midpoint(self.sound, self.worse));
+    }
+
+    pub fn first_worse(&self) -> Option<usize> {
+        (self.sound == self.worse && self.worse < self.policies).then_some(self.worse)
+    }
+
+    /// Returns the answer over all policies.
+    pub fn verdict(&self) -> Verdict {
+        match (self.sound == self.worse, self.first_worse()) {
+            (false, _) => Verdict::Undecided,
+            (true, None) => Verdict::NotWorse,
+            (true, Some(_)) => Verdict::Worse,
+        }
+    }
+}
+
 /// Returns the number of values after which the evidence that their mean exceeds `mean` reaches 1/α;
 /// `None` if it never does. Values lie in [-1, 1].
 fn above(values: impl Iterator<Item = f64>, mean: f64, alpha: f64) -> Option<usize> {

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use benchmark::{Condition, Design, RolloutId};
-use paired::{NonInferiority, Outcome, Verdict};
+use paired::{Bisection, NonInferiority, Outcome, Verdict};
 use rand_chacha::ChaCha12Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
@@ -16,7 +16,7 @@ fn uniform(rng: &mut ChaCha12Rng) -> f64 {
 
 /// Plays two policies, of which the second succeeds less often by `loss` in each rollout; the first
 /// at rates of 0.94 to 1. Returns the answer and the rollouts that it took.
-fn play(ids: &[RolloutId], seed: u64, loss: f64) -> (Verdict, u64) {
+fn play(ids: &[RolloutId], seed: u64, loss: f64, margin: f64) -> (Verdict, u64) {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
     let (mut reference, mut outcomes) = (Vec::new(), BTreeMap::new());
     for &id in ids {
@@ -25,21 +25,45 @@ fn play(ids: &[RolloutId], seed: u64, loss: f64) -> (Verdict, u64) {
         reference.push((id, [old, old]));
         outcomes.insert(id, Outcome::from(uniform(&mut rng) < rate - loss));
     }
-    NonInferiority::new(reference, &[Condition::Nominal], seed).verdict(&outcomes, MARGIN)
+    NonInferiority::new(reference, &[Condition::Nominal], seed).verdict(&outcomes, margin)
+}
+
+fn nominal() -> Vec<RolloutId> {
+    let rows = Design::v0_1().expand().expect("rows");
+    let ids = rows.iter().map(|row| row.id).filter(|id| id.condition() == Condition::Nominal);
+    ids.collect()
+}
+
+/// Of 16 checkpoints, those from a planted one on succeed 12 points less often.
+#[test]
+fn bisection_finds_the_planted_checkpoint() {
+    let ids = nominal();
+    let mut rollouts = 0;
+    for planted in 0..20_usize {
+        let mut bisection = Bisection::new(16);
+        while let Some(next) = bisection.next() {
+            let loss = if next >= planted { 0.12 } else { 0.0 };
+            let (verdict, taken) = play(&ids, (planted * 16 + next) as u64, loss, 0.05);
+            rollouts += taken;
+            bisection.record(verdict);
+        }
+        assert_eq!(bisection.first_worse(), Some(planted).filter(|planted| *planted < 16));
+        let verdict = if planted < 16 { Verdict::Worse } else { Verdict::NotWorse };
+        assert_eq!(bisection.verdict(), verdict);
+    }
+    println!("{} rollouts a search", rollouts / 20);
 }
 
 #[test]
 fn a_lower_rate_is_found_and_an_equal_one_is_not() {
-    let rows = Design::v0_1().expand().expect("rows");
-    let ids = rows.iter().map(|row| row.id).filter(|id| id.condition() == Condition::Nominal);
-    let ids: Vec<RolloutId> = ids.collect();
+    let ids = nominal();
     for (loss, runs, right, at_least, others) in [
         (0.06, 100, Verdict::Worse, 95, 0),
         (0.0, 1_000, Verdict::NotWorse, 700, 0),
         // At the margin, wrong answers in either direction are rare.
         (MARGIN, 400, Verdict::Undecided, 380, 20),
     ] {
-        let answers: Vec<_> = (0..runs).map(|seed| play(&ids, seed, loss)).collect();
+        let answers: Vec<_> = (0..runs).map(|seed| play(&ids, seed, loss, MARGIN)).collect();
         let count = |verdict| answers.iter().filter(|of| of.0 == verdict).count();
         let mean = answers.iter().map(|of| of.1).sum::<u64>() / runs;
         let counts = [Verdict::NotWorse, Verdict::Undecided, Verdict::Worse].map(count);
