@@ -24,8 +24,8 @@ from rollout_policies import UnderWay  # noqa: E402
 from rollout_policies.adapters import Options, load  # noqa: E402
 from rollout_policies.adapters.upstream import UnusableCheckpoint, UnusableOption  # noqa: E402
 
-#: The adapter of each random policy. ACT stands in for MINERVA: like it, it holds the action queue of
-#: a single episode, which the adapter exchanges at each query.
+#: The adapter of each random policy. ACT stands in for MINERVA: like it, it holds the action queue
+#: of a single episode, which the adapter exchanges at each query.
 ADAPTERS = {"smolvla": "smolvla", "pi05": "pi05", "vla-jepa": "vla-jepa", "act": "minerva"}
 
 
@@ -153,7 +153,7 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
         "without actions under way, nothing changes"
     )
     # The actions under way guide the new chunk only up to their end.
-    short = policy.infer(replace(first_query, under_way=UnderWay(executed[:delay], delay)))
+    short = policy.infer(replace(first_query, under_way=UnderWay(under_way[:delay], delay)))
     assert distance(continued, after_delay) < distance(short, after_delay)
 
 

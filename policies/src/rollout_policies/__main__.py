@@ -13,7 +13,7 @@ import logging
 import sys
 import textwrap
 
-from .access import AccessError, UnguardedAddress
+from .access import AccessError, IncompletePair, UnguardedAddress
 from .adapters import BATCHING, EVALUATIONS, MODULES, WITH_SLOTS, WITH_STUDY, Options, load
 from .adapters.cameras import ROLES
 from .adapters.upstream import UnusableCheckpoint, UnusableOption, UpstreamMissing

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from .access import AccessError, UnguardedAddress
+from .access import AccessError, IncompletePair, UnguardedAddress
 from .actions import UnusableActions
 from .policy import Policy, UnusableDescription, description_of, require_methods
 from .server import CannotListen, require_servable, serve

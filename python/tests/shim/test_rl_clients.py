@@ -1,5 +1,6 @@
-"""Unmodified files of RLinf on the shim, in RLinf's own processes and in one process (kinds that end
-in `_together`). RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py)."""
+"""Unmodified files of RLinf on the shim, in RLinf's own processes and in one process (kinds that
+end in `_together`). RLinf is installed with the other clients (`ROLLOUT_CLIENTS`,
+test_clients.py)."""
 
 import subprocess
 from pathlib import Path

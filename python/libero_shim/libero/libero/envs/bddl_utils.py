@@ -95,8 +95,8 @@ def _sections(filename: str | os.PathLike[str]) -> dict[str, list[Any]]:
 
 
 def _by_category(words: list[str], default_category: str) -> dict[str, list[str]]:
-    """Converts `a b - bowl c - plate` to bowl: a b, plate: c. Instances that no category follows get
-    the default."""
+    """Converts `a b - bowl c - plate` to bowl: a b, plate: c. Instances without a category get the
+    default."""
     categories: dict[str, list[str]] = {}
     instances: list[str] = []
     words_left = iter(words)
