@@ -16,6 +16,7 @@ use crate::level::Level;
 use crate::presets::unit;
 use crate::rollout_id::RolloutId;
 use crate::row::{MAX_ROWS, ManifestRow};
+use crate::simulated::{ShortRow, TaskPlaces};
 use crate::suite::TaskRef;
 use crate::wording::JsonError;
 
@@ -30,28 +31,40 @@ const RADIUS_TOLERANCE: f64 = 2e-3;
 /// radii.
 const ROUNDING: f64 = 0.5e-6;
 
-/// Parses a manifest. Empty lines are skipped. The error lists up to 20 faults, each with its line.
+/// Parses a manifest. Empty lines are skipped. Rows of other simulators may have their short form,
+/// which `docs/SIMULATORS.md` describes. The error lists up to 20 faults, each with its line.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();
+    let mut places = TaskPlaces::default();
     for (index, text) in text.lines().enumerate() {
         if text.trim().is_empty() {
             continue;
         }
         let line = index + 1;
-        match serde_json::from_str(text) {
+        match parse_row(text, &mut places) {
             Ok(row) => {
                 checker.check(line, &row);
                 rows.push(row);
             }
-            Err(error) => {
-                let problem = LineProblem::Row(JsonError::from(error).problem().to_owned());
-                checker.errors.add(line, problem);
-            }
+            Err(problem) => checker.errors.add(line, LineProblem::Row(problem)),
         }
     }
     checker.finish(rows.len())?;
     Ok(rows)
+}
+
+fn parse_row(text: &str, places: &mut TaskPlaces) -> Result<ManifestRow, String> {
+    let described = |error: serde_json::Error| JsonError::from(error).problem().to_owned();
+    let is_short = text.contains("\"simulator\"") && !text.contains("\"rollout_id\"");
+    let row = match is_short {
+        false => return serde_json::from_str(text).map_err(described),
+        true => serde_json::from_str::<ShortRow>(text).map_err(described)?,
+    };
+    let row = row.complete(places).map_err(|problem| problem.to_string())?;
+    // The full form is checked as that of a stored row.
+    let full = serde_json::to_value(&row).expect("a row of text and numbers serialises");
+    serde_json::from_value(full).map_err(described)
 }
 
 /// Validates rows that were not parsed from a text; errors number them from 1.
@@ -317,6 +330,10 @@ fn protocol_text(protocol: &Option<String>) -> String {
 }
 
 fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
+    // The units of another simulator may be its own.
+    if row.simulator.is_some() {
+        return Ok(());
+    }
     let (id, level) = (row.id, row.id.level());
     let expected = row.radius();
     for axis in row.perturbation.axes() {
