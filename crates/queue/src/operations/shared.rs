@@ -10,7 +10,7 @@ use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
 use super::in_flight::Films;
-use super::lacking::LackingTasks;
+use super::means::MeansOfWorkers;
 use crate::clock::{Clock, UnixMillis};
 use crate::remote_storage::RemoteStorage;
 use crate::store::Store;
@@ -28,7 +28,7 @@ pub(crate) struct Shared {
     pub(crate) files: tokio::sync::Mutex<()>,
     pub(super) films: Films,
     /// Tasks whose files workers lack.
-    pub(crate) lacking: Arc<LackingTasks>,
+    pub(crate) means: Arc<MeansOfWorkers>,
     /// Remote storage of videos, if configured.
     pub(crate) remote_storage: Option<Arc<dyn RemoteStorage>>,
     /// Notified when jobs may have become leasable.
@@ -59,7 +59,7 @@ impl Shared {
             cache: tokio::sync::Mutex::default(),
             files: tokio::sync::Mutex::default(),
             films: Films::default(),
-            lacking: Arc::default(),
+            means: Arc::default(),
             remote_storage,
             work: Notify::new(),
             passed_over: AtomicBool::new(false),
