@@ -97,7 +97,7 @@ fn run_in(
     let row = &assignment.row;
     let scene = json!([simulated.name, simulated.task, pipe.about.packages]);
     let about = &pipe.about;
-    let origin = json!([simulated.name, about.packages, about.driver, about.reused]);
+    let origin = json!([about.packages, about.driver, about.reused]);
     let mut packages = about.packages.clone();
     packages.insert("simulator".to_owned(), simulated.name.clone());
     packages.insert("driver".to_owned(), about.driver.clone());

@@ -159,7 +159,7 @@ pub(super) fn rollouts_by_suite(
 ) -> Result<BTreeMap<String, u64>, Status> {
     let mut rollouts = BTreeMap::new();
     for requested in requests {
-        if requested.suite != Suite::Own.name() {
+        if ![Suite::Own, Suite::Simulated].map(Suite::name).contains(&&*requested.suite) {
             let _: Suite = requested.suite.parse().map_err(invalid)?;
         }
         let total: &mut u64 = rollouts.entry(requested.suite).or_default();

@@ -5,7 +5,7 @@
 //! Lines are read one at a time. A file with a bad line is rejected as a whole, with the
 //! numbers of its bad lines, because a partial import would change the figures.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -172,6 +172,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         // A suite file's tasks under LIBERO-CTRL's axes are reported as LIBERO's are.
         protocol: reading.protocol.filter(|_| is_of_variants),
         early_stop: None,
+        simulated: BTreeMap::new(),
     })
 }
 

@@ -221,8 +221,8 @@ impl Supervisor {
             policy_seed: lease.policy_seed,
             // A policy that hangs must time out before its slot does.
             policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
-            // So must a simulator.
-            simulator_deadline: self.timing.progress_timeout / 2,
+            // So must a simulator, which may load its libraries first.
+            simulator_deadline: self.timing.progress_timeout * 3 / 4,
             video: lease.record_video.then_some(video),
             keep_actions: lease.keep_actions,
             row,
