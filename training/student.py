@@ -18,7 +18,7 @@ IN_SINGLE_PRECISION = ("state_mean", "state_std")
 
 
 def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str, look: str = "") -> None:
-    """Writes a weights file in half precision; the state's scale is in single precision. ``look``
+    """Writes a weights file in half precision, the state's mean and deviation in single. ``look``
     is the look of the pictures that the student learned from.
 
     The file is replaced atomically, so that a running collection reads complete weights."""
@@ -30,6 +30,7 @@ def save_weights(tensors: Mapping[str, Tensor], file: Path, name: str, look: str
     part = file.with_name(file.name + ".part")
     metadata = {"format": FORMAT, "name": name} | ({"look": look} if look else {})
     save_file(rounded, part, metadata=metadata)
+    # safetensors makes files that only their owner can read.
     part.chmod(0o644)
     os.replace(part, file)
 

@@ -38,7 +38,8 @@ struct Arguments {
     /// Slots of one worker, which sends one heartbeat for all of them.
     #[arg(long, default_value_t = 8)]
     slots_per_worker: u32,
-    /// Mean duration of a rollout, milliseconds; each takes up to a fifth more or less.
+    /// Mean duration of a rollout, milliseconds, well below a lease of 30 s; each takes up to a fifth
+    /// more or less.
     #[arg(long, default_value_t = 900)]
     rollout_millis: u64,
     /// Folder for the database; a temporary folder if omitted.
@@ -94,14 +95,21 @@ async fn main() -> Result<()> {
     for slot in 0..arguments.slots {
         slots.spawn(run_slot(queue.clone(), measured.clone(), slot, arguments.clone(), jobs));
     }
-    let seconds = tokio::select! {
-        seconds = watch(&measured, jobs) => seconds,
+    let committed_each_second = tokio::select! {
+        counts = watch(&measured, jobs) => counts,
         failure = first_failure(&mut slots) => return Err(failure),
+        failure = first_failure(&mut background) => return Err(failure),
     };
     let elapsed = began.elapsed();
     slots.abort_all();
     background.abort_all();
-    let report = report(&arguments, (&measured, &seconds, elapsed), jobs, expand_secs, &folder)?;
+    let report = report(
+        &arguments,
+        (&measured, &committed_each_second, elapsed),
+        jobs,
+        expand_secs,
+        &folder,
+    )?;
     println!("{}", serde_json::to_string_pretty(&report)?);
     queue.close().await?;
     Ok(())
@@ -169,7 +177,7 @@ async fn run_slot(
     Ok(())
 }
 
-/// Sends a worker's heartbeats. They renew no leases, since rollouts are shorter than a lease.
+/// Sends a worker's heartbeats, which renew no leases: rollouts are shorter than a lease.
 async fn send_heartbeats(queue: Arc<Queue>, worker: u32) -> Result<()> {
     loop {
         tokio::time::sleep(queue.timing().heartbeat).await;
@@ -189,30 +197,31 @@ async fn first_failure(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
 
 /// Counts the rollouts committed in each second until all jobs are committed.
 async fn watch(measured: &Measured, jobs: u64) -> Vec<u64> {
-    let mut seconds = Vec::new();
+    let mut counts = Vec::new();
     let mut before = 0;
     let mut tick = tokio::time::interval(Duration::from_secs(1));
     tick.tick().await;
     while before < jobs {
         tick.tick().await;
         let now = measured.committed.load(Ordering::Relaxed);
-        seconds.push(now - before);
+        counts.push(now - before);
         before = now;
     }
-    seconds
+    counts
 }
 
 fn report(
     arguments: &Arguments,
-    (measured, seconds, elapsed): (&Measured, &[u64], Duration),
+    (measured, committed_each_second, elapsed): (&Measured, &[u64], Duration),
     jobs: u64,
     expand_secs: f64,
     folder: &Path,
 ) -> Result<Value> {
     // Leaves out the first two seconds, in which the slots start, and the last three, in which the
     // jobs run out.
-    let begin = 2.min(seconds.len());
-    let middle = &seconds[begin..seconds.len().saturating_sub(3).max(begin)];
+    let begin = 2.min(committed_each_second.len());
+    let middle =
+        &committed_each_second[begin..committed_each_second.len().saturating_sub(3).max(begin)];
     let mut sorted = middle.to_vec();
     sorted.sort_unstable();
     let database = std::fs::metadata(folder.join(DATABASE_FILE))?.len();
@@ -330,7 +339,8 @@ fn outcome(
     let success = rng.next_u32().is_multiple_of(2);
     CommitReport {
         attempt: job.attempt,
-        // A path of 220 control steps, 11 s: 6 bytes at rest and after every step.
+        // As long as a path of 220 control steps, so that rows have a real size: 6 bytes at rest and
+        // after every step.
         motion: Motion { path: vec![1; 6 * 221], actions: Vec::new() },
         measurement: Measurement {
             result: RolloutResult {

@@ -21,7 +21,8 @@ pub async fn lines(
     name: &CampaignName,
 ) -> Result<impl Stream<Item = Result<String, ReadError>> + Send + use<>, QueueError> {
     let campaign = queue.view().await?.campaign(name).await?;
-    // Last row of the previous page; `None` once the last page was read.
+    // The row after which the next page begins, with an empty id before the first row; `None` once
+    // the last page was read.
     let before_first_row: Option<(String, u32)> = Some((String::new(), 0));
     let pages = stream::try_unfold((queue, before_first_row), move |(queue, last)| async move {
         let Some((rollout_id, replicate)) = last else {

@@ -140,7 +140,7 @@ async fn simulated_tasks(
 }
 
 /// Returns the purpose of a derived campaign and the records of its source; `None` for other
-/// campaigns.
+/// campaigns, and if the source was deleted.
 async fn derived(
     view: &mut View,
     campaign: &Campaign,
@@ -175,7 +175,8 @@ pub(crate) async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setup
         };
         let row: ManifestRow =
             serde_json::from_str(&manifest_row).map_err(unreadable(rollout_id))?;
-        // A suite that is run without axes has no nominal rollout.
+        // Rollouts of one initial state share its scene, which is found by their nominal rollout; a
+        // rollout of a suite that is run without axes has none.
         let state = match row.id.variant() {
             Some(name) if name.benchmark().is_none() => row.id,
             _ => RolloutId::nominal(row.id.task(), row.init_id),
@@ -187,8 +188,8 @@ pub(crate) async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setup
             }
             setups.scenes.insert(state, digest(&[&scene, &init_state]));
         }
-        // The digest leaves out `init_slot`, the place of the initial state in the design, and the
-        // paraphrase's name, which the policy never observes, and the execution model, which a
+        // Left out: the place of the initial state in the design (`init_slot`); the paraphrase's name
+        // (`variant_id`), since the policy observes only its text; and the execution model, which a
         // report compares separately.
         let observed =
             ManifestRow { init_slot: 0, variant_id: None, execution: Execution::Wait, ..row };

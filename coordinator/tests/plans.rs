@@ -64,7 +64,7 @@ const LOOPS: [(&str, Walks); 10] = [
         OnPurpose("one computation at a time: an_abandoned_computation_is_not_started_again"),
     ),
     (
-        "a large campaign is created, imported or deleted",
+        "a large campaign is created, extended, imported or deleted",
         OnPurpose(
             "in transactions: a_large_campaign_is_inserted_and_deleted_in_hidden_batches and \
              a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",

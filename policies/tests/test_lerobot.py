@@ -24,8 +24,8 @@ from rollout_policies import UnderWay  # noqa: E402
 from rollout_policies.adapters import Options, load  # noqa: E402
 from rollout_policies.adapters.upstream import UnusableCheckpoint, UnusableOption  # noqa: E402
 
-#: The adapter of each random policy. MINERVA's adapter serves lerobot's ACT, too: both networks
-#: hold the action queues of a single episode, and the adapter exchanges the queues at each query.
+#: The adapter of each random policy. ACT stands in for MINERVA: like it, it holds the action queue of
+#: a single episode, which the adapter exchanges at each query.
 ADAPTERS = {"smolvla": "smolvla", "pi05": "pi05", "vla-jepa": "vla-jepa", "act": "minerva"}
 
 
@@ -118,10 +118,8 @@ def test_interleaved_episodes_equal_single_ones(policy):
 def test_actions_depend_on_instruction_and_frames(policy, checkpoint):
     # Random weights depend little on the input; the test needs only some dependence.
     first_query = observation(1)
-    dark = observation(1)
-    object.__setattr__(
-        dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images}
-    )
+    black = {key: np.zeros_like(frame) for key, frame in first_query.images.items()}
+    dark = replace(first_query, images=black)
     answers = []
     for query in (first_query, dark, observation(1, instruction="pick up the butter")):
         policy.reset(query.episode)
@@ -139,14 +137,14 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     first_query = observation(1)
     policy.reset(first_query.episode)
     unguided = policy.infer(first_query)
-    # The actions under way are taken from another episode; any actions would do.
-    executed = policy.infer(observation(2))[2:].astype(np.float32)
+    # Actions of another episode, of which two have been executed; any would do.
+    under_way = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
-    continued = policy.infer(replace(first_query, under_way=UnderWay(executed, delay)))
+    continued = policy.infer(replace(first_query, under_way=UnderWay(under_way, delay)))
     assert continued.shape == unguided.shape and np.isfinite(continued).all()
 
     def distance(chunk, steps):
-        return np.abs(chunk[steps] - executed[steps]).mean()
+        return np.abs(chunk[steps] - under_way[steps]).mean()
 
     # lerobot's guidance fades from the delay on, and ends after ten actions.
     during_delay, after_delay = slice(0, delay), slice(delay, 8)
@@ -195,7 +193,7 @@ def json_content(folder, file):
     path.write_text(json.dumps(content), "utf-8")
 
 
-#: For each policy, a tensor that its actions depend on.
+#: A tensor that each policy's actions depend on, where lerobot still calls it so.
 ACTING_TENSOR = {
     "smolvla": "model.action_out_proj.weight",
     "pi05": "model.action_out_proj.weight",
@@ -289,9 +287,7 @@ def test_slots_with_unknown_names_are_refused_with_the_flag_to_add(altered):
 def test_a_checkpoint_without_statistics_is_refused(altered, feature):
     # lerobot would leave the numbers unchanged.
     name, folder = altered
-    for file in folder.glob("policy_*_normalizer_processor.safetensors"):
-        drop_statistics(file, feature)
-    for file in folder.glob("policy_*_unnormalizer_processor.safetensors"):
+    for file in folder.glob("policy_*normalizer_processor.safetensors"):
         drop_statistics(file, feature)
     title = "actions" if feature == "action" else "the state"
     with pytest.raises(UnusableCheckpoint, match=f"has no statistics of {title}"):

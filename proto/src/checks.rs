@@ -20,7 +20,8 @@ pub const MAX_CAMERAS: usize = 8;
 const _: () = assert!(
     MAX_CAMERAS * 3 * (MAX_FRAME_SIDE * MAX_FRAME_SIDE) as usize <= crate::MAX_MESSAGE_BYTES
 );
-/// The cameras of a LIBERO scene.
+/// The cameras of a LIBERO scene, which policies may request. Films, the student, openpi's client and the
+/// fidelity tests rely on these two in this order.
 pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 
 /// Largest number of readings that a policy may request by name, and their longest name, bytes.

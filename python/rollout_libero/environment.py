@@ -182,7 +182,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         return self.simulation.frame(*self._camera)[::-1]
 
     def snapshot(self) -> VectorSnapshot:
-        """Returns the complete state for the next step, without the generator that seeds resets."""
+        """Returns all that determines the next step, but not what later resets draw from."""
         return self._envs.snapshot()
 
     def restore(self, snapshot: VectorSnapshot) -> None:

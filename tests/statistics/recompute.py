@@ -15,8 +15,8 @@ A comparison of two policies has a "name" and "compared": per row, its "name", "
 B]], where a goal is [predicates that held, predicates].
 
 Prints how many figures agree; fails if any does not, and names at most 20 of those. Shares no code
-with the crate `paired`; the formulas are those of docs/REPORT.md. Variances up to 1e-24 count as
-zero."""
+with the crate `paired`; the formulas are those of docs/dev/STATISTICS.md. Variances up to 1e-24
+count as zero."""
 
 import json
 import sys

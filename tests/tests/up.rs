@@ -19,13 +19,8 @@ struct Up {
 
 impl Up {
     fn start(data: &Path, arguments: &[&str]) -> Self {
-        let gateway = match arguments.contains(&"--gateway-listen") {
-            true => &[][..],
-            false => &["--gateway-listen", "127.0.0.1:0"],
-        };
         let mut child = Command::new(program("coordinator"))
-            .args(["up", "--listen", "127.0.0.1:0"])
-            .args(gateway)
+            .args(["up", "--listen", "127.0.0.1:0", "--gateway-listen", "127.0.0.1:0"])
             .arg("--data")
             .arg(data)
             .args(arguments)
@@ -205,13 +200,10 @@ fn a_program_that_is_killed_is_started_again_at_its_address() {
 #[test]
 fn a_killed_evaluation_is_continued_by_the_same_command_and_ends_with_its_report() {
     let data = tempfile::tempdir().unwrap();
-    let port = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
-    let gateway = port.local_addr().expect("an address").to_string();
-    drop(port);
     #[rustfmt::skip]
     let arguments = [
         "--slots", "1", "--assets", "primitives", "--policy", "builtin:expert", "--small",
-        "--tasks", "libero_object/1", "--gateway-listen", &gateway,
+        "--tasks", "libero_object/1",
     ];
     let folder = data.path().join("data");
     let up = Up::start(&folder, &arguments).ready();

@@ -1,5 +1,6 @@
-"""Verbs and small words for all tasks. Forms of a verb have slots of their own: ``put``,
-``putting``, ``was put``."""
+"""Verbs and small words for all tasks. A repeated word is drawn more often. Forms of a verb have
+slots of their own: ``put``, ``putting``, and ``was put`` for the participle, without "was". ``goes``
+and ``sits`` follow one object, ``go`` and ``sit`` two."""
 
 from training.grammar.template import Grammar
 

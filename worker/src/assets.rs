@@ -278,7 +278,7 @@ fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError>
         return fetch_suite(benchmark, arguments, sources);
     }
     let pack = match &arguments.into {
-        Some(dir) => AssetPack::into_folder(dir),
+        Some(dir) => AssetPack::to_fetch_into(dir),
         None => AssetPack::open(LIBERO, sources)?,
     };
     let files = match arguments.everything {

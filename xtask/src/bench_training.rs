@@ -1,6 +1,6 @@
 //! `cargo xtask bench training`: times rollouts for reinforcement learning in this project's
 //! environments and in the original LIBERO's, in turn. `python/bench/rl/compare.py` and
-//! docs/PYTHON.md describe the measurement.
+//! docs/dev/PERFORMANCE.md describe the measurement.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

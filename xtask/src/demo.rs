@@ -22,8 +22,8 @@ pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway
 const CAMPAIGN: &str = "demo";
 /// Name of the demo's policy.
 const POLICY: &str = "student";
-/// Tasks of two suites whose first configurations have an emergent failure and a compensated
-/// success, each in the fewest control steps of `examples/student`.
+/// At configuration 0, the first task fails emergently and the second succeeds compensated, each in
+/// the fewest control steps of such tasks in `examples/student`.
 const TASKS: &str = "libero_object/3,libero_goal/1";
 const CONFIGURATIONS: &str = "0";
 /// Task with an emergent failure, for the demo's own test.
@@ -50,7 +50,7 @@ pub(crate) struct Options {
 
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let start = Instant::now();
-    let cache = setup::linker(root)?;
+    let cache = setup::for_building(root)?;
     // The build needs only the linker's library; the rest is downloaded meanwhile.
     let programs = std::thread::scope(|threads| {
         let downloads = threads.spawn(|| setup::sources(&cache));

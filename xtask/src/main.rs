@@ -62,8 +62,7 @@ enum Command {
     },
     /// Make the release: the archive, tested in a root folder with glibc only, and all wheels.
     Dist(dist::Options),
-    /// Run a benchmark; PERFORMANCE.md and RELIABILITY.md in docs/dev, and docs/PYTHON.md,
-    /// describe them.
+    /// Run a benchmark; PERFORMANCE.md and RELIABILITY.md in docs/dev describe them.
     #[command(subcommand)]
     Bench(Bench),
     /// Compare the simulator with reference data of the original LIBERO.

@@ -31,13 +31,13 @@ const GL_LIBRARIES: [&str; 4] = ["libEGL.so.1", "libGL.so.1", "libOpenGL.so.0", 
 
 /// Sets up the machine, skipping completed steps. Returns the cache folder.
 pub(crate) fn run(root: &Path) -> Result<PathBuf> {
-    let cache = linker(root)?;
+    let cache = for_building(root)?;
     sources(&cache)?;
     Ok(cache)
 }
 
 /// Sets up what a build needs. Returns the cache folder.
-pub(crate) fn linker(root: &Path) -> Result<PathBuf> {
+pub(crate) fn for_building(root: &Path) -> Result<PathBuf> {
     println!("Setting up");
     let cache = cache_dir()?;
     step("tools", tools)?;

@@ -59,8 +59,8 @@ fn campaign_name(name: &str) -> Result<CampaignName, String> {
 pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let request = ArchiveCampaignRequest { campaign: arguments.campaign.clone() };
-    let mut chunks = client.call(request, Service::archive_campaign).await?;
     let remote = RemoteObject::from_argument(&arguments.output)?;
+    let mut chunks = client.call(request, Service::archive_campaign).await?;
     let output = remote.as_ref().map_or(&arguments.output, |object| &object.file);
     let mut file = AtomicFile::create(output)?;
     let mut size_bytes = 0;

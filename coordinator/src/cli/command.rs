@@ -32,7 +32,7 @@ pub(super) enum CommandError {
     Usage(anyhow::Error),
     /// The command failed; exit code 1.
     Failure(anyhow::Error),
-    /// The command's answer is its exit code.
+    /// The exit code is the command's answer, with an error to print if there is one.
     Answer(Option<anyhow::Error>, u8),
 }
 
@@ -75,15 +75,15 @@ impl Connection {
         Ok(subjects)
     }
 
-    /// Returns the credentials for a campaign's policy, from the files given for the coordinator.
-    /// An operator's token is never sent to policies.
+    /// Returns the credentials for a campaign's policy, from the same files as the coordinator's. A
+    /// policy answers workers; an operator's token is never sent to it.
     pub(super) fn policy_access(&self) -> Result<Access, AccessError> {
         self.access.access(&[Role::Worker])
     }
 
     /// Returns a client that retries an unreachable coordinator for `retry_for`.
     pub(super) fn client_retrying_for(&self, retry_for: Duration) -> Result<Client, CommandError> {
-        // The operator role includes everything that a viewer may read.
+        // The first role with a token counts; an operator may read everything that a viewer may.
         let access = self.access.access(&[Role::Operator, Role::Viewer]);
         let access = access.map_err(failure)?;
         Ok(Client::new(&self.connect, &access, retry_for)?)

@@ -39,7 +39,7 @@ Exit codes: 0 not worse, 1 worse, 2 undecided within the budget, 3 not comparabl
 
 Examples:
   coordinator gate --policy step-20000 --against step-10000-ctrl
-  coordinator gate --policy pi05 --against published:π0.5 \\
+  coordinator gate --policy pi05 --against published:pi05 \\
       --endpoint http://127.0.0.1:7412 --conditions nominal --budget 500";
 
 #[derive(Args, Debug)]
@@ -245,6 +245,7 @@ async fn run(
         let verdict = Verdict::of_all(evidence.iter().map(|of| of.verdict));
         let open = outcomes.len() - known;
         let mut rows = Vec::new();
+        let mut is_exhausted = true;
         let is_over = status.as_ref().is_some_and(|status| status.state.is_over());
         if verdict == Verdict::Undecided && !is_over {
             let waiting = status.as_ref().map_or(0, |status| status.rollouts.queued);
@@ -254,7 +255,14 @@ async fn run(
                 let new = unit.iter().filter(|id| !outcomes.contains_key(id));
                 let new: Vec<&ManifestRow> = new.map(|id| &reference.rows[id]).collect();
                 let count = new.len() as u64;
-                if room == 0 || used + count > budget {
+                if count == 0 {
+                    continue;
+                }
+                if used + count > budget {
+                    break;
+                }
+                is_exhausted = false;
+                if room == 0 {
                     break;
                 }
                 rows.extend(new);
@@ -262,7 +270,7 @@ async fn run(
                 used += count;
             }
         }
-        if verdict != Verdict::Undecided || is_over || (rows.is_empty() && open == 0) {
+        if verdict != Verdict::Undecided || is_over || (is_exhausted && open == 0) {
             if open > 0 && !is_over {
                 let change = Change::Cancel.into();
                 let request = ChangeCampaignRequest { campaign: name.to_owned(), change };

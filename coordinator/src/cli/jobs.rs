@@ -158,7 +158,7 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
         None => (text, Some(0)),
         Some((id, replicate)) => (id, replicate.parse().ok()),
     };
-    // Parsing maps the paper's spellings of an id to the released ones.
+    // Parsing maps every accepted spelling of an id to the stored one.
     let parsed: Result<RolloutId, _> = rollout_id.parse();
     let rollout_id = parsed.map_or_else(|_| rollout_id.to_owned(), |id| id.to_string());
     let replicate = replicate.ok_or_else(|| {

@@ -1,4 +1,5 @@
-//! Output of `--json`. The schema is documented in docs/JSON.md, and a test compares the two.
+//! Output of `--json`. docs/JSON.md documents its keys; tests/it/json_keys.rs compares
+//! them with the output.
 
 use serde::Serialize;
 

@@ -100,11 +100,12 @@ fn next(
     source: &CampaignSpec,
     thresholds: &Thresholds,
 ) -> anyhow::Result<Vec<NextRow>> {
+    // The search of another campaign is refused at its creation.
     let Rollouts::Design(design) = &source.rollouts else {
         return Ok(Vec::new());
     };
-    let records = measuring.derived.as_ref().map_or(&[][..], |derived| &derived.records);
-    let plan = Measurement::of(records, &measuring.records, thresholds).plan().into_iter();
+    let source_records = measuring.derived.as_ref().map_or(&[][..], |derived| &derived.records);
+    let plan = Measurement::of(source_records, &measuring.records, thresholds).plan().into_iter();
     // Only replicate 0 decides whether a configuration succeeds at a radius.
     let row = |(ray, level): (Ray, Level)| {
         Ok((design.row_at(ray.task, ray.condition, level, ray.config)?, vec![0]))

@@ -5,7 +5,7 @@ use std::borrow::Cow;
 use std::collections::BTreeMap;
 
 use benchmark::attempt::{AttemptId, MAX_TEXT_BYTES, Measurement, Motion, Pin, Provenance};
-use benchmark::{JsonError, Look, Suite, select_tasks};
+use benchmark::{Look, Suite, select_tasks};
 use proto::{MAX_MOTION_STEPS, coordinator as wire};
 use queue::ids::{CampaignName, JobId, JobName, WorkerId, json_problem, shortened};
 use queue::read::JobFilter;
@@ -22,6 +22,8 @@ use super::failure::invalid;
 
 /// Longest accepted rollout id, bytes.
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
+/// Longest quotation of a request's text in an error, bytes.
+const MAX_QUOTED_BYTES: usize = 128;
 /// Longest stored error message, bytes; longer ones are truncated.
 const MAX_ERROR_BYTES: usize = 4_096;
 /// Longest path and actions of a motion, bytes: 6 per position and 28 per action.
@@ -77,7 +79,7 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
 
 /// Reads the asset pack digest, simulator version and look of a film worker. The pack's name and the
 /// renderer do not matter, since films are for viewing and never compared.
-pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
+pub(super) fn film_pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     Ok(Pin {
         asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
         mujoco_version: required("mujoco_version", request.mujoco_version)?,
@@ -86,17 +88,20 @@ pub(super) fn pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     })
 }
 
-/// Reads a reported result. Its texts become printable, whatever fields they are in.
+/// Reads a reported result. Its texts become printable, because programs and pages show them.
 pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Status> {
     let text = &request.measurement;
     let unreadable = |error: serde_json::Error| {
-        // The parser names no field whose value has another type, only the column after it.
+        // An error of a value's type names no field, only the column after the value: the field is
+        // the last name before that column.
         let before = text.get(..error.column()).unwrap_or(text).rsplit_once("\":");
         let field = before.and_then(|(before, _)| before.rsplit('"').next()).unwrap_or_default();
-        let field = shortened(field, MAX_ROLLOUT_ID_BYTES).to_owned();
+        let field = shortened(field, MAX_QUOTED_BYTES).to_owned();
         invalid(format!("read `measurement` after `{field}`: {}", json_problem(error)))
     };
-    let Measurement { result, provenance } = Measurement::from_json(text).map_err(unreadable)?;
+    let Measurement { mut result, provenance } =
+        Measurement::from_json(text).map_err(unreadable)?;
+    result.prompt = result.prompt.map(|prompt| printable(&prompt).into_owned());
     let provenance = serde_json::to_value(provenance).map(printable_texts);
     let provenance: Provenance = provenance.and_then(serde_json::from_value).map_err(unreadable)?;
     if let Some(problem) = result.problem().or_else(|| provenance.problem()) {
@@ -118,6 +123,7 @@ fn printable_texts(value: Value) -> Value {
             };
             Value::Object(fields.into_iter().map(printed).collect())
         }
+        // A provenance has no arrays of texts.
         value => value,
     }
 }
@@ -159,6 +165,8 @@ pub(super) fn rollouts_by_suite(
 ) -> Result<BTreeMap<String, u64>, Status> {
     let mut rollouts = BTreeMap::new();
     for requested in requests {
+        // The parser knows only LIBERO's suites; `own` stands for the tasks of suite files, and
+        // `simulated` for those of other simulators.
         if ![Suite::Own, Suite::Simulated].map(Suite::name).contains(&&*requested.suite) {
             let _: Suite = requested.suite.parse().map_err(invalid)?;
         }
@@ -185,7 +193,7 @@ pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_
             other => {
                 return Err(invalid(format!(
                     "`{}` is not an outcome; write success or failure",
-                    shortened(other, MAX_ROLLOUT_ID_BYTES)
+                    shortened(other, MAX_QUOTED_BYTES)
                 )));
             }
         },
@@ -204,7 +212,7 @@ fn job_state(state: &str) -> Result<Option<&str>, Status> {
         "queued" | "leased" | "committed" | "quarantined" => Ok(Some(state)),
         other => Err(invalid(format!(
             "`{}` is not a job state; the states are queued, leased, committed, quarantined",
-            shortened(other, MAX_ROLLOUT_ID_BYTES)
+            shortened(other, MAX_QUOTED_BYTES)
         ))),
     }
 }
@@ -230,8 +238,7 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
 pub(super) fn rows(rows: Vec<wire::AppendedRow>) -> Result<Vec<AppendedRow>, Status> {
     let read = |(index, row): (usize, wire::AppendedRow)| {
         let unreadable = |error| {
-            let problem = JsonError::from(error);
-            invalid(format!("read row {} of the added rows: {}", index + 1, problem.problem()))
+            invalid(format!("read row {} of the added rows: {}", index + 1, json_problem(error)))
         };
         let replicates = row.replicates;
         let row = serde_json::from_str(&row.manifest_row).map_err(unreadable)?;

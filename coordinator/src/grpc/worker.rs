@@ -159,7 +159,7 @@ impl WorkerService for WorkerApi {
                 Some(view.campaign(&campaign_name(name)?).await.map_err(failed)?.name)
             }
         };
-        let pin = read::pin(request)?;
+        let pin = read::film_pin(request)?;
         let next = self.queue.next_film(&pin, only.as_ref()).await.map_err(failed)?;
         let (film, left) = next.unzip();
         Ok(Response::new(NextFilmResponse { film: film.map(write_film), left: left.unwrap_or(0) }))

@@ -31,7 +31,7 @@ struct Selection {
     choice: Option<&'static str>,
     /// Job id after which the list begins.
     after: i64,
-    /// Id of a single rollout to list; `None` lists all rollouts that match `choice`.
+    /// Id of a single rollout to list, in its first replicate; `None` lists all rollouts that match `choice`.
     id: Option<String>,
 }
 
@@ -104,7 +104,7 @@ impl Selection {
                     selection.after =
                         after.map_err(|_| Problem::Query("`after` takes a number."))?;
                 }
-                "id" if !value.trim().is_empty() => selection.id = Some(released_id(value.trim())),
+                "id" if !value.trim().is_empty() => selection.id = Some(canonical_id(value.trim())),
                 _ => {}
             }
         }
@@ -112,8 +112,9 @@ impl Selection {
     }
 }
 
-/// Converts a rollout id in the paper's spelling to the released spelling.
-fn released_id(id: &str) -> String {
+/// Returns the spelling under which rollouts are stored; the reference's names and long names of
+/// suites are accepted. Any other text is returned unchanged.
+fn canonical_id(id: &str) -> String {
     let parsed: Result<RolloutId, _> = id.parse();
     parsed.map_or_else(|_| id.to_owned(), |id| id.to_string())
 }

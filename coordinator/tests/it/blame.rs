@@ -117,10 +117,10 @@ async fn only_failures_charged_to_its_machine_stop_a_worker() {
 async fn restarted_workers_of_one_machine_count_as_one_machine() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
-    let mut sound = bench.worker_at("sound", "s").await;
+    let mut sound = bench.worker_on_machine("sound", "s").await;
     let mut job = None;
     for start in 0..4 {
-        let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
+        let mut worker = bench.worker_on_machine("broken", &format!("b{start}")).await;
         past_backoff(&bench, [&mut worker, &mut sound]).await;
         let leases = worker.claim(12).await;
         let is_job =
@@ -151,9 +151,9 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
 async fn a_stopped_workers_last_failures_quarantine_no_rollout() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
-    let mut sound = bench.worker_at("sound", "s").await;
+    let mut sound = bench.worker_on_machine("sound", "s").await;
     for start in 0..3 {
-        let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
+        let mut worker = bench.worker_on_machine("broken", &format!("b{start}")).await;
         past_backoff(&bench, [&mut worker, &mut sound]).await;
         let leases = worker.claim(3).await;
         assert_eq!(leases.len(), 3);
@@ -181,8 +181,8 @@ async fn rollouts_that_avoid_a_machine_hide_no_others_from_it() {
         let spec = with(small_spec("first"), json!({"configs": [0, 1, 2, 3, 4, 5]}));
         let created = bench.create(&with(spec, changes)).await;
         assert_eq!(created.expect("created").jobs_total, 24);
-        let mut diverging = bench.worker_at("diverging", "d").await;
-        let mut sound = bench.worker_at("sound", "s").await;
+        let mut diverging = bench.worker_on_machine("diverging", "d").await;
+        let mut sound = bench.worker_on_machine("sound", "s").await;
         for _ in 0..3 {
             past_backoff(&bench, [&mut diverging, &mut sound]).await;
             for lease in diverging.claim(12).await {
@@ -211,8 +211,8 @@ async fn claim_without_files(worker: &mut Worker) -> String {
 async fn a_machine_without_the_files_of_a_task_is_not_able_to_run_it() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
-    let mut partial = bench.worker_at("partial", "p").await;
-    let mut complete = bench.worker_at("complete", "c").await;
+    let mut partial = bench.worker_on_machine("partial", "p").await;
+    let mut complete = bench.worker_on_machine("complete", "c").await;
     claim_without_files(&mut partial).await;
     for attempt in 1..=3 {
         past_backoff(&bench, [&mut partial, &mut complete]).await;
@@ -229,10 +229,10 @@ async fn a_machine_without_the_files_of_a_task_is_not_able_to_run_it() {
 async fn after_a_restart_a_machine_is_able_until_its_claim_says_otherwise() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
-    claim_without_files(&mut bench.worker_at("partial", "p").await).await;
+    claim_without_files(&mut bench.worker_on_machine("partial", "p").await).await;
     let bench = bench.restart().await;
-    let mut partial = bench.worker_at("partial", "p").await;
-    let mut complete = bench.worker_at("complete", "c").await;
+    let mut partial = bench.worker_on_machine("partial", "p").await;
+    let mut complete = bench.worker_on_machine("complete", "c").await;
     let mut job = None;
     for _ in 0..3 {
         past_backoff(&bench, [&mut partial, &mut complete]).await;
@@ -255,14 +255,14 @@ async fn after_a_restart_a_machine_is_able_until_its_claim_says_otherwise() {
 async fn a_campaign_whose_files_every_live_worker_lacks_says_so() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
-    let mut partial = bench.worker_at("partial", "p").await;
+    let mut partial = bench.worker_on_machine("partial", "p").await;
     let files = "assets that this worker lacks, for task libero_object/0";
     let idle = claim_without_files(&mut partial).await;
     assert!(idle.contains(files), "{idle}");
     let reason = bench.status("first").await.waiting_reason.expect("a reason");
     let expected = files.replace("this worker", "every live worker");
     assert_eq!(reason, format!("no worker suits: the campaign needs {expected}"));
-    let _complete = bench.worker_at("complete", "c").await;
+    let _complete = bench.worker_on_machine("complete", "c").await;
     assert_eq!(bench.status("first").await.waiting_reason, None);
 }
 
@@ -276,20 +276,20 @@ async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
         let released = worker.release(&lease, Reason::MachineError).await;
         !released.stop_leasing.is_empty()
     };
-    let mut first = bench.worker_at("broken", "first").await;
+    let mut first = bench.worker_on_machine("broken", "first").await;
     for failures in 1..=5 {
         assert_eq!(fail(&mut first).await, failures == 5);
     }
-    let mut second = bench.worker_at("broken", "second").await;
+    let mut second = bench.worker_on_machine("broken", "second").await;
     assert!(fail(&mut second).await);
     // Other machines are not affected, nor is a worker that does not name its machine.
-    let mut other = bench.worker_at("sound", "other").await;
+    let mut other = bench.worker_on_machine("sound", "other").await;
     let mut nameless = bench.worker("nameless").await;
     assert!(!fail(&mut other).await && !fail(&mut nameless).await);
     // The machine is repaired.
-    let mut third = bench.worker_at("broken", "third").await;
+    let mut third = bench.worker_on_machine("broken", "third").await;
     let lease = third.claim_one().await;
     assert_eq!(third.commit(&lease, true).await, Verdict::Accepted);
-    let mut fourth = bench.worker_at("broken", "fourth").await;
+    let mut fourth = bench.worker_on_machine("broken", "fourth").await;
     assert!(!fail(&mut fourth).await);
 }

@@ -271,7 +271,7 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     let policy = |name: &str| json!({"policy": {"name": name, "endpoint": "http://127.0.0.1:1"}});
     let foreign = bench.create_with_priority(&small_spec("foreign"), 9).await;
     foreign.expect("created");
-    let mut other = bench.worker_on("other", "libero").await;
+    let mut other = bench.worker_of_pack("other", "libero").await;
     let lease = other.claim_one().await;
     assert_eq!(other.commit(&lease, true).await, Verdict::Accepted);
     let down = with(small_spec("down"), policy("fragile"));

@@ -1,5 +1,6 @@
 //! Nearly full and full disks: no job is leased whose result could not be stored, and neither
-//! accepted results nor attempts in progress are lost.
+//! accepted results nor attempts in progress are lost. A limit of the coordinator's file sizes
+//! (soft:hard, bytes) stands in for a full disk: its writes fail.
 
 use std::fs::File;
 use std::process::Stdio;
@@ -10,7 +11,7 @@ use proto::coordinator::release_request::Reason;
 
 use crate::artifacts::put;
 use crate::assertions::assert_refused;
-use crate::process::{CREATE, Serve, coordinator, succeed, text};
+use crate::process::{CREATE, NAME, Serve, coordinator, succeed, text};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so() {
@@ -37,7 +38,9 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
     let status = text(&status.stdout);
     assert!(status.contains("--min-free-mib"), "{status}");
     // A campaign whose rows take much of the remaining space is not added.
-    let large = [&CREATE[..3], &["large"], &CREATE[4..], &["--replicates", "100"]].concat();
+    let mut large = CREATE.to_vec();
+    large[NAME] = "large";
+    large.extend(["--replicates", "100"]);
     serve.run(&large, 1, &["add the campaign's rollouts", "which results need", "make room"]);
 }
 
@@ -72,7 +75,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     std::fs::remove_dir_all(&data).expect("removed");
 
     let mut create = CREATE;
-    create[3] = "other";
+    create[NAME] = "other";
     serve.run(&create, 1, &["is gone"]);
     let refused = worker.try_commit(&leases[1], true).await;
     assert_refused(refused, tonic::Code::Internal, &[]);
@@ -82,7 +85,7 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     succeed(serve.command(&["backup", "--output", copy]));
     succeed(coordinator(&["check", copy]));
 
-    // The coordinator does not use another database at the same path.
+    // Another coordinator makes a database at the same path, to which the first one must not write.
     drop(Serve::start(&data));
     let refused = serve.command(&create);
     assert_eq!(refused.status.code(), Some(1), "{refused:?}");

@@ -151,7 +151,7 @@ impl Bench {
 
     /// Registers a worker of the `primitives` pack.
     pub(crate) async fn worker(&self, id: &str) -> Worker {
-        self.worker_on(id, "primitives").await
+        self.worker_of_pack(id, "primitives").await
     }
 
     /// Registers a worker that claims one job, which must be available.
@@ -161,18 +161,15 @@ impl Bench {
         (worker, lease)
     }
 
-    pub(crate) async fn worker_on(&self, id: &str, pack: &str) -> Worker {
+    /// Registers a worker of an asset pack.
+    pub(crate) async fn worker_of_pack(&self, id: &str, pack: &str) -> Worker {
         self.worker_with_renderer(id, pack, "llvmpipe").await
     }
 
     /// Registers a worker of the `primitives` pack on a named machine.
-    pub(crate) async fn worker_at(&self, machine: &str, id: &str) -> Worker {
-        let mut worker = self.worker(id).await;
-        let registration =
-            wire::RegisterRequest { machine: machine.to_owned(), ..registration(id, "primitives") };
-        let registered = worker.service.register(registration).await;
-        registered.expect("registers");
-        worker
+    pub(crate) async fn worker_on_machine(&self, machine: &str, id: &str) -> Worker {
+        let machine = machine.to_owned();
+        self.register(wire::RegisterRequest { machine, ..registration(id, "primitives") }).await
     }
 
     pub(crate) async fn worker_with_renderer(
@@ -368,6 +365,7 @@ impl Worker {
         alter: impl FnOnce(&mut Measurement),
     ) -> wire::CommitRequest {
         let row: Value = serde_json::from_str(&lease.manifest_row).expect("a manifest row");
+        // A success holds both predicates of the goal at once.
         let held = |count: u32| if success { 2 } else { count };
         let execution = row["execution"].as_str();
         let mut measurement = Measurement {
@@ -427,7 +425,7 @@ impl Worker {
         lease: &wire::Lease,
         reason: Reason,
     ) -> wire::ReleaseResponse {
-        self.release_after(lease, reason, None).await
+        self.release_with_answers(lease, reason, None).await
     }
 
     pub(crate) async fn lose_policy(
@@ -436,10 +434,10 @@ impl Worker {
         answered: u32,
     ) -> wire::ReleaseResponse {
         let reason = Reason::PolicyUnavailable;
-        self.release_after(lease, reason, Some(answered)).await
+        self.release_with_answers(lease, reason, Some(answered)).await
     }
 
-    async fn release_after(
+    async fn release_with_answers(
         &mut self,
         lease: &wire::Lease,
         reason: Reason,

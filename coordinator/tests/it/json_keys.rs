@@ -4,7 +4,8 @@ use std::collections::BTreeSet;
 
 use serde_json::Value;
 
-/// Returns the documented keys of a command: the first cells of its table's rows.
+/// Returns the documented keys of a command: the first cells of its table's rows and, where the
+/// meaning begins with "like" another key, the keys below that one.
 pub(crate) fn documented(command: &str) -> BTreeSet<String> {
     let page = include_str!("../../../docs/JSON.md");
     let title = format!("## `{command}`");
@@ -13,8 +14,22 @@ pub(crate) fn documented(command: &str) -> BTreeSet<String> {
         format!("## {first}").contains(&title)
     });
     let section = section.unwrap_or_else(|| panic!("docs/JSON.md has no section {title}"));
-    let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
-    section.lines().filter_map(key).collect()
+    let rows = |text: &'static str| {
+        text.lines().filter_map(|line| line.strip_prefix("| `")?.split_once("` | "))
+    };
+    let mut keys = BTreeSet::new();
+    for (key, meaning) in rows(section) {
+        keys.insert(key.to_owned());
+        let other = meaning.strip_prefix("like `").and_then(|rest| rest.split('`').next());
+        if let Some(other) = other {
+            let below =
+                rows(page).filter_map(|(name, _)| name.strip_prefix(other)?.strip_prefix('.'));
+            let below: Vec<String> = below.map(|name| format!("{key}.{name}")).collect();
+            assert!(!below.is_empty(), "docs/JSON.md documents nothing below {other}");
+            keys.extend(below);
+        }
+    }
+    keys
 }
 
 /// Collects the keys of a value, including nested ones such as `campaigns[].rollouts.total`. Keys

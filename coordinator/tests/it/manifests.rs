@@ -237,7 +237,7 @@ async fn an_imported_manifest_is_run_unchanged() {
 
     let report = serve.command(&["report", "imported", "--full"]);
     let report = text(&report.stdout);
-    assert!(report.contains("design rows-"), "{report}");
+    assert!(report.contains("design `rows-"), "{report}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -294,11 +294,13 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
         succeed(serve.command(&[&["campaign", "extend", "rows"][..], &manifest].concat()));
     assert_eq!(extended, "campaign rows extended by 2 rollouts: 12 rollouts\n");
 
+    // A valid new row comes first: it must not be added if the second is refused.
     let altered = |index: usize, field: &str, value: Value| {
         let mut row = all[index].clone();
         row[field] = value;
         vec![all[7].clone(), row]
     };
+    let valid = || vec![all[7].clone(), all[6].clone()];
     let noise = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
     let variant = plus_spec(noise)["rows"][1].clone();
     for (campaign, rows, replicates, words) in [
@@ -306,11 +308,11 @@ async fn rows_are_added_to_a_campaign_once_and_as_they_are_or_not_at_all() {
         ("rows", altered(6, "init_id", json!(50)), &[], "row 2 of the added rows: read row goal"),
         ("rows", altered(6, "init_id", json!(2)), &[], "initial states differ"),
         ("rows", altered(3, "init_id", json!(2)), &[], "has init_id 2, but"),
-        ("rows", altered(6, "level", json!("L1")), &[1], "names `replicates`"),
-        ("design", altered(6, "level", json!("L1")), &[], "its rows are those of a design"),
+        ("rows", valid(), &[1], "names `replicates`"),
+        ("design", valid(), &[], "its rows are those of a design"),
         ("rows", vec![variant], &[], "no protocol, but protocol `plus-official` in line 1"),
-        ("final", altered(6, "level", json!("L1")), &[], "it is cancelled"),
-        ("none", altered(6, "level", json!("L1")), &[], "no such campaign"),
+        ("final", valid(), &[], "it is cancelled"),
+        ("none", valid(), &[], "no such campaign"),
     ] {
         let error = append(campaign, &rows, replicates).await.expect_err(words);
         assert!(error.message().contains(words), "{words}: {}", error.message());

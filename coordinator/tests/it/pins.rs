@@ -26,8 +26,8 @@ async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
 #[tokio::test]
 async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     let bench = Bench::with(&small_spec("pinned")).await;
-    let mut first = bench.worker_on("a", "primitives").await;
-    let mut second = bench.worker_on("b", "libero").await;
+    let mut first = bench.worker_of_pack("a", "primitives").await;
+    let mut second = bench.worker_of_pack("b", "libero").await;
     // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
     let (lease, other_lease) = (first.claim_one().await, second.claim_one().await);
     assert_eq!(bench.status("pinned").await.live_workers, 2);
@@ -95,7 +95,7 @@ async fn a_campaign_of_one_look_refuses_a_worker_of_the_other() {
 #[tokio::test]
 async fn a_result_that_is_refused_pins_nothing() {
     let bench = Bench::with(&small_spec("open")).await;
-    let mut worker = bench.worker_on("a", "primitives").await;
+    let mut worker = bench.worker_of_pack("a", "primitives").await;
     let lease = worker.claim_one().await;
     let report = worker.report_altered(&lease, true, |of| {
         "reference".clone_into(&mut of.provenance.realisation);
@@ -121,7 +121,7 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_policy() {
         ),
     ] {
         let bench = Bench::with(&small_spec("pinned")).await;
-        let mut worker = bench.worker_on("a", "primitives").await;
+        let mut worker = bench.worker_of_pack("a", "primitives").await;
         let leases = worker.claim(3).await;
         let report = |lease: usize, replace: Replace| {
             worker.report_altered(&leases[lease], true, |of| {
@@ -165,7 +165,7 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
             None => small_spec("late"),
         };
         let bench = Bench::with(&spec).await;
-        let mut worker = bench.worker_on("a", "primitives").await;
+        let mut worker = bench.worker_of_pack("a", "primitives").await;
         let lease = worker.claim_one().await;
         assert_eq!(lease.execution, campaign_model.unwrap_or("wait"));
         let report = worker.report_altered(&lease, true, |of| {
@@ -196,7 +196,7 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     let execution = "overlap:4,rtc";
     let spec = with(small_spec("many"), json!({ "execution": execution }));
     bench.create(&spec).await.expect("created");
-    let mut worker = bench.worker_on("a", "primitives").await;
+    let mut worker = bench.worker_of_pack("a", "primitives").await;
     let lease = worker.claim_one().await;
     let worker_settings = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
     let policy_settings = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));

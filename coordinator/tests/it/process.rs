@@ -217,6 +217,8 @@ pub(crate) const CREATE: [&str; 14] = [
     "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0-1",
     "--configs", "0", "--levels", "L1",
 ];
+/// Position of the campaign's name in [`CREATE`].
+pub(crate) const NAME: usize = 3;
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_killed_coordinator_continues_after_a_restart() {

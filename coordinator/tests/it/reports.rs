@@ -99,7 +99,7 @@ async fn a_finished_campaign_has_its_paired_measures() {
     assert_eq!((&paired["n"], &paired["b"], &paired["c"]), (&json!(4), &json!(2), &json!(0)));
     assert_eq!(paired["i"], json!(-0.5));
     assert_eq!(json["nominal"]["count"], json!({"successes": 4, "n": 4}));
-    let head = "campaign reported\npolicy expert at http://127.0.0.1:50051\n";
+    let head = "campaign reported, policy expert at http://127.0.0.1:50051\n";
     assert!(report.table.starts_with(head), "{}", report.table);
     let widest = report.table.lines().map(|line| line.chars().count()).max();
     assert!(widest <= Some(80), "{}", report.table);
@@ -164,7 +164,7 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
 async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
-    let mut worker = bench.worker_on("a", "libero").await;
+    let mut worker = bench.worker_of_pack("a", "libero").await;
     let leases = worker.claim(2).await;
     for (lease, version) in leases.iter().zip(["0.1.0", "0.2.0"]) {
         let report = worker.report_altered(lease, true, |Measurement { provenance, .. }| {

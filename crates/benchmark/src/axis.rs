@@ -1,5 +1,7 @@
-//! The axes: [`AXES`] defines each once. Rows, ids, columns, figures, pages and messages follow
-//! from it.
+//! The axes: [`AXES`] defines each once. Rows, ids, columns, figures, pages and messages follow from
+//! it. An axis with numbers also has an entry in `perturbation!` and in `data/presets.json`; an array of
+//! the model that it changes is in `each_own_array!` and `slices!` of `sim`, and in the documentation of
+//! Python's `set_model_array`. Results accept realised values of [`Axis::METRIC`] only.
 
 use std::fmt;
 use std::str::FromStr;

@@ -93,12 +93,12 @@ fn pictures_of_unsupported_size_are_refused_and_unchanged() {
     let error = fog.apply(&mut large, &mut rng).unwrap_err().to_string();
     assert!(
         error.contains("300×300")
-            && error.contains("`fog`, which supports pictures of at most 256"),
+            && error.contains("`fog`, which supports only pictures of at most 256"),
         "{error}"
     );
     let zoom = Corruption::new(21).unwrap();
     let error = zoom.check(300, 200, 300 * 200 * 3).unwrap_err().to_string();
-    assert!(error.contains("`zoom`, which supports square pictures of at least 2"), "{error}");
+    assert!(error.contains("`zoom`, which supports only square pictures of at least 2"), "{error}");
     assert!(rng == initial && rgb.iter().all(|byte| *byte == 7));
     assert_eq!(Corruption::new(0), None);
     assert_eq!(Corruption::new(51), None);

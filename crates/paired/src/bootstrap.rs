@@ -143,7 +143,7 @@ pub fn quantile(sorted: &[f64], share: f64) -> f64 {
 /// for ten, 94 % for forty. With fewer than four tasks, an end of the interval is
 /// simply the most extreme task, because that task is drawn G times with
 /// probability G^−G > 2.5 %; with two tasks the interval covers the truth in half
-/// of all cases. docs/REPORT.md has simulations.
+/// of all cases. docs/dev/STATISTICS.md has simulations.
 ///
 /// Sources: T. Hesterberg, What teachers should know about the bootstrap, The
 /// American Statistician 69 (2015), 371–386, section 4 (the interval is too

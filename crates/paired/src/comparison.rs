@@ -144,8 +144,10 @@ impl Comparison {
                 continue;
             };
             let id = record.id;
+            // Without rollouts under single axes, the records do not tell which axes are combined.
+            let combined = axes[0].get(&id.level()).zip(axes[1].get(&id.level()));
             let reason = if id.condition() == Condition::Simultaneous
-                && axes[0].get(&id.level()) != axes[1].get(&id.level())
+                && combined.is_some_and(|(a, b)| a != b)
             {
                 Some(Obstacle::Axes)
             } else if record.init_id != record_b.init_id {

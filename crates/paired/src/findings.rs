@@ -1,5 +1,5 @@
 //! Findings of a report as sentences. Every sentence follows from figures of the report;
-//! docs/REPORT.md lists the condition under which each sentence is written.
+//! docs/dev/STATISTICS.md lists the condition under which each sentence is written.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::chance_bounds;
-use crate::inference::hypotheses::holm;
+use crate::inference::hypotheses::{EQUIVALENCE_MARGIN, holm};
 use crate::inference::loss::Loss;
 use crate::replication::Flips;
 use crate::report::{Cell, Report};
@@ -17,7 +17,9 @@ use crate::text::{listed, percent, points};
 /// Significance level of sentences that claim an effect, for p-values after Holm's correction:
 /// costs are corrected over the conditions of a level, claims about simultaneity and directions
 /// together over all levels. It is stricter than the 5 % of the intervals because readers act on
-/// sentences.
+/// sentences. Other levels: `EQUIVALENCE_ALPHA`, `estimate::ALPHA` and the quantiles of `bootstrap`
+/// (intervals), `design::Z_TEST` (planning), `SEQUENTIAL_ALPHA` (early stops), `non_inferiority::ALPHA`
+/// (the gate), `Repeats::error` (explanations).
 pub const FINDING_ALPHA: f64 = 0.01;
 
 /// Significance level of claims of equivalence, whose p-values are not corrected.
@@ -27,33 +29,34 @@ const EQUIVALENCE_ALPHA: f64 = 0.05;
 /// direction, directions.
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells: Vec<&Cell> = report.cells.iter().collect();
-    let claims = Claims::new(&cells);
+    let corrected = CorrectedPValues::new(&cells);
     let mut findings = Vec::new();
     for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
         findings.extend(cost(cell));
-        findings.extend(simultaneity(cell, report, &claims));
-        findings.extend(directions(cell, &claims));
+        findings.extend(simultaneity(cell, report, &corrected));
+        findings.extend(directions(cell, &corrected));
     }
     findings
 }
 
-/// A hypothesis about simultaneous perturbation at a level.
+/// A tested effect of simultaneous perturbation at a level. Its p-value is two-sided; the effect is
+/// claimed if the p-value is small and the estimate has the effect's sign.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Hypothesis {
-    /// R_e is no more than the noise floor.
+    /// R_e is above the noise floor.
     Emergent,
-    /// R_c is no more than the noise floor.
+    /// R_c is above the noise floor.
     Compensated,
-    /// I is not below 0; tested if no noise floor is known.
+    /// I is below 0; tested if no noise floor is known.
     BelowZero,
-    /// Simultaneous success is the same under all directions.
+    /// Simultaneous success depends on the direction of the perturbations.
     Directions,
 }
 
 /// Corrected p-values of all tested hypotheses.
-struct Claims(BTreeMap<(Level, Hypothesis), f64>);
+struct CorrectedPValues(BTreeMap<(Level, Hypothesis), f64>);
 
-impl Claims {
+impl CorrectedPValues {
     fn new(cells: &[&Cell]) -> Self {
         let mut tested: BTreeMap<(Level, Hypothesis), f64> = BTreeMap::new();
         for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
@@ -89,8 +92,8 @@ impl Claims {
     }
 }
 
-/// Writes the finding about the greatest loss under a single axis, or smaller losses if only they
-/// are claimed, and about the axes equivalent to nominal success.
+/// Writes the finding about losses under single axes: the greatest if it is claimed, otherwise those
+/// that are, or that none is. It ends with the axes that are equivalent to nominal success.
 fn cost(cell: &Cell) -> Option<Finding> {
     let losses = cell.inference.as_ref().map(|inference| &inference.losses)?;
     let singles = losses.iter().filter_map(|(condition, loss)| match condition {
@@ -101,10 +104,11 @@ fn cost(cell: &Cell) -> Option<Finding> {
     let by_loss =
         |a: &&(&str, &Loss), b: &&(&str, &Loss)| a.1.loss.value.total_cmp(&b.1.loss.value);
     let (most, loss) = *singles.iter().max_by(by_loss)?;
-    // Without nominal success nothing can be lost, and too few tasks show nothing.
+    // Without nominal success nothing can be lost, and losses on too few tasks for an interval do
+    // not show that nothing is lost.
     let is_costly = |loss: &Loss| loss.holm_p < FINDING_ALPHA && loss.loss.value > 0.0;
-    let has_enough_tasks = loss.nominal.new_tasks.or(loss.success.new_tasks).is_some();
-    if loss.nominal.value == 0.0 || !has_enough_tasks && !is_costly(loss) {
+    let has_interval = loss.nominal.new_tasks.or(loss.success.new_tasks).is_some();
+    if loss.nominal.value == 0.0 || !has_interval && !is_costly(loss) {
         return None;
     }
     let level = cell.level;
@@ -115,9 +119,11 @@ fn cost(cell: &Cell) -> Option<Finding> {
     };
     let equivalent = names(&|loss| !is_costly(loss) && is_equivalent(loss));
     let costly = names(&is_costly);
-    let claimed = singles.iter().filter(|(_, loss)| is_costly(loss));
-    let smallest_p = claimed.map(|(_, loss)| loss.holm_p).reduce(f64::min);
-    let p = smallest_p.filter(|_| !is_costly(loss)).unwrap_or(loss.holm_p);
+    let claimed = singles.iter().map(|(_, loss)| *loss).filter(|loss| is_costly(loss));
+    let p = match is_costly(loss) {
+        true => loss.holm_p,
+        false => claimed.map(|loss| loss.holm_p).reduce(f64::min).unwrap_or(loss.holm_p),
+    };
     let mut sentence = match (is_costly(loss), costly.is_empty()) {
         (true, _) => format!(
             "Of the single axes at {level}, {most} costs the most: {} points{} of success, against \
@@ -144,7 +150,9 @@ fn cost(cell: &Cell) -> Option<Finding> {
     };
     if !equivalent.is_empty() {
         let verb = if equivalent.len() == 1 { "is" } else { "are" };
-        sentence.push_str(&format!("; {} {verb} within 5 points of nominal", listed(&equivalent)));
+        let margin = 100.0 * EQUIVALENCE_MARGIN;
+        let equivalent = listed(&equivalent);
+        sentence.push_str(&format!("; {equivalent} {verb} within {margin} points of nominal"));
     }
     sentence.push('.');
     Some(Finding {
@@ -156,7 +164,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     })
 }
 
-fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
+fn simultaneity(cell: &Cell, report: &Report, corrected: &CorrectedPValues) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let level = cell.level;
     // A policy that never succeeds has no outcome that simultaneity could change.
@@ -164,7 +172,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         return None;
     }
     let Some(excess) = &inference.excess else {
-        return without_floor(cell, report, claims);
+        return without_floor(cell, report, corrected);
     };
     let measured = [
         (
@@ -183,7 +191,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         ),
     ];
     let is_shown = |hypothesis, excess: &Estimate| {
-        claims.p(cell, hypothesis) < FINDING_ALPHA && excess.value > 0.0
+        corrected.p(cell, hypothesis) < FINDING_ALPHA && excess.value > 0.0
     };
     let shown = measured.iter().filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
     let parts: Vec<String> = shown
@@ -209,7 +217,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         ),
         parts => format!("At {level}, {}.", parts.join("; ")),
     };
-    let p = measured.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
+    let p = measured.map(|(hypothesis, ..)| corrected.p(cell, hypothesis));
     Some(Finding {
         kind: FindingKind::Simultaneity,
         level,
@@ -220,10 +228,10 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
 }
 
 /// Writes the finding about simultaneity if no noise floor is known.
-fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding> {
+fn without_floor(cell: &Cell, report: &Report, corrected: &CorrectedPValues) -> Option<Finding> {
     let inference = cell.inference.as_ref()?;
     let (level, i) = (cell.level, &inference.paired.i);
-    let p = claims.p(cell, Hypothesis::BelowZero);
+    let p = corrected.p(cell, Hypothesis::BelowZero);
     let claims = p < FINDING_ALPHA && i.value < 0.0;
     let sentence = match claims {
         true => format!(
@@ -242,12 +250,12 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
             // A share of 0 among a few rollouts gives no upper bound of chance.
             let flips = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
             let bound = flips.map_or_else(String::new, |(subject, flips)| {
-                let [r_d, _] = chance_bounds(flips, report.axes.len());
+                let [r_d_by_chance, _] = chance_bounds(flips, report.axes.len());
                 format!(
-                    " {subject} in {} %, and chance of that size can change up to {} % of the \
-                     outcomes by itself.",
+                    " {subject} in {} %; chance that changes so many can by itself change up to {} % \
+                     of the simultaneous outcomes.",
                     percent(Some(flips)),
-                    percent(Some(r_d)),
+                    percent(Some(r_d_by_chance)),
                 )
             });
             let cause = match report.cells.iter().any(|cell| cell.level == Level::L0) {
@@ -265,10 +273,9 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
     Some(Finding { kind: FindingKind::Simultaneity, level, claims, holm_p: Some(p), sentence })
 }
 
-/// Returns the share of nearly identical rollouts that end differently, with the beginning of
-/// a sentence about them: nominal rollouts of two replicates, or nominal and
-/// language-perturbed rollouts. Language has an effect of its own, so that the share of
-/// language-perturbed rollouts is an upper bound of chance.
+/// Returns the beginning of a sentence, and the share of pairs of nearly identical rollouts that end
+/// differently: nominal rollouts of two replicates, otherwise a nominal and a language-perturbed
+/// rollout. Language has an effect of its own, so that the second share is an upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     if let Some(rate) = report.flips.get(&Condition::Nominal).and_then(Flips::rate) {
         return Some(("Nominal rollouts of two replicates end differently", rate));
@@ -281,9 +288,9 @@ fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
 }
 
 /// Writes the finding about the dependence on the direction, if it is significant.
-fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
+fn directions(cell: &Cell, corrected: &CorrectedPValues) -> Option<Finding> {
     let test = cell.inference.as_ref()?.directions.as_ref()?;
-    let p = claims.p(cell, Hypothesis::Directions);
+    let p = corrected.p(cell, Hypothesis::Directions);
     let [low, high] = test.range();
     (p < FINDING_ALPHA).then(|| Finding {
         kind: FindingKind::Directions,

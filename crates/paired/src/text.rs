@@ -9,9 +9,9 @@ pub(crate) fn percent(value: Option<f64>) -> String {
     text.unwrap_or_else(|| ABSENT.to_owned())
 }
 
-/// Formats a difference in percentage points with two decimals: `+0.25`.
+/// Formats a difference in percentage points with one decimal: `+0.3`.
 pub(crate) fn points(value: f64) -> String {
-    format!("{:+.2}", 100.0 * value)
+    format!("{:+.1}", 100.0 * value)
 }
 
 /// Joins parts as a list: `a`, `a and b`, `a, b and c`.

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Timing {
-    /// Duration of a lease from its grant or its last heartbeat.
+    /// Duration of a lease from its grant or its last heartbeat. `claim`, `heartbeat`, `resume` and
+    /// `start` add it, as one instant for all leases of a statement; `sweep` judges by that instant.
     pub lease: Duration,
     /// Interval between the heartbeats of a worker.
     pub heartbeat: Duration,

@@ -294,15 +294,15 @@ impl Table {
         }
         let mut rest = records.as_slice();
         while !rest.is_empty() {
-            let fits = |count: &usize| total_width(&self.turned(&rest[..*count])) <= WIDTH;
+            let fits = |count: &usize| total_width(&self.transposed(&rest[..*count])) <= WIDTH;
             let Some(count) = (1..=rest.len()).rev().find(fits) else {
                 self.push_listed(&mut text, &rest[0]);
                 rest = &rest[1..];
                 continue;
             };
-            let turned = self.turned(&rest[..count]);
+            let transposed = self.transposed(&rest[..count]);
             let is_left: Vec<bool> = (0..=count).map(|index| index == 0).collect();
-            push_grid(&mut text, &is_left, &turned, &widths(&turned));
+            push_grid(&mut text, &is_left, &transposed, &widths(&transposed));
             rest = &rest[count..];
             if !rest.is_empty() {
                 text.push('\n');
@@ -326,7 +326,7 @@ impl Table {
     }
 
     /// Returns the rows of a table with a column per record.
-    fn turned(&self, records: &[Vec<Vec<String>>]) -> Vec<Vec<Vec<String>>> {
+    fn transposed(&self, records: &[Vec<Vec<String>>]) -> Vec<Vec<Vec<String>>> {
         let columns = self.columns.iter().enumerate();
         let row = |(index, column): (usize, &Column)| {
             let label = match column.kind {

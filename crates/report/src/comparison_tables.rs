@@ -30,9 +30,9 @@ pub(crate) fn pairs(compared: &[Result<Comparison, Unpairable>]) -> Vec<Block<'_
         blocks.extend(warnings.into_iter().map(|warning| Block::Paragraph(sentence(warning))));
     }
     let refused = compared.iter().filter_map(|pair| pair.as_ref().err());
-    blocks.extend(refused.map(|of| {
-        let reasons = of.reasons.join("; ");
-        Block::Paragraph(format!("{} and {} are not compared: {reasons}.", of.a, of.b))
+    blocks.extend(refused.map(|pair| {
+        let reasons = pair.reasons.join("; ");
+        Block::Paragraph(format!("{} and {} are not compared: {reasons}.", pair.a, pair.b))
     }));
     blocks
 }
@@ -40,11 +40,11 @@ pub(crate) fn pairs(compared: &[Result<Comparison, Unpairable>]) -> Vec<Block<'_
 /// Differences nominally and under all axes, a row per pair.
 fn differences(pairs: &[&Comparison]) -> Table {
     let rows: Vec<Row<'_>> = pairs.iter().flat_map(|pair| pair.compared()).collect();
-    let absent: Vec<_> = rows.iter().map(|(_, of)| of.no_interval).collect();
+    let no_interval: Vec<_> = rows.iter().map(|(_, of)| of.no_interval).collect();
     let keys = rows.iter().map(|(at, _)| (at.level, at.condition, at.name()));
     let keys: BTreeSet<(Level, Condition, String)> =
-        keys.filter(|(_, condition, _)| is_of_pairs(*condition)).collect();
-    let replicates = pairs.first().map_or(0, |pair| pair.bootstrap.replicates);
+        keys.filter(|(_, condition, _)| is_summarised(*condition)).collect();
+    let resamplings = pairs.first().map_or(0, |pair| pair.bootstrap.replicates);
     let mut table = Rows::new("A − B of every pair, points", pairs)
         .key("A", |pair| cell(&pair.a.label))
         .key("B", |pair| cell(&pair.b.label));
@@ -68,15 +68,16 @@ fn differences(pairs: &[&Comparison]) -> Table {
         "p below {FINDING_ALPHA}: sign-flip test over tasks, corrected for the rows of the pair's \
          own table, which `coordinator compare A B` prints"
     );
-    with_intervals(table.note("*", meaning), replicates, absent).table()
+    with_intervals(table.note("*", meaning), resamplings, no_interval).table()
 }
 
-fn is_of_pairs(condition: Condition) -> bool {
+/// True for the conditions in the tables of several pairs and of single tasks.
+fn is_summarised(condition: Condition) -> bool {
     matches!(condition, Condition::Nominal | Condition::Simultaneous)
 }
 
 impl Comparison {
-    /// Returns the tables.
+    /// Returns the blocks of one pair: what was left out, success, intervals, tasks, progress.
     pub(crate) fn blocks(&self) -> Vec<Block<'_>> {
         let left_out = self.statistics.left_out().into_iter().map(Block::Paragraph);
         let mut blocks: Vec<Block<'_>> = left_out.collect();
@@ -104,10 +105,10 @@ impl Comparison {
 
     fn success(&self) -> Table {
         let cells = &self.statistics.cells;
-        let of = |at: &ComparedCell, value: fn(&Difference) -> Cell| {
+        let if_compared = |at: &ComparedCell, value: fn(&Difference) -> Cell| {
             at.difference.as_ref().map_or_else(|| cell("–"), value)
         };
-        let absent = self.compared().map(|(_, of)| of.no_interval).collect::<Vec<_>>();
+        let no_interval = self.compared().map(|(_, of)| of.no_interval).collect::<Vec<_>>();
         let rows = Rows::new(format!("Success: {}", self.title()), cells)
             .key("rollouts", |at| cell(at.name()))
             .column(
@@ -120,8 +121,8 @@ impl Comparison {
                     gap(cell(n), at.missing, at.quarantined)
                 },
             )
-            .column("A", "%", "", |at| of(at, |of| cell(percent(of.s_a))))
-            .column("B", "%", "", |at| of(at, |of| cell(percent(of.s_b))))
+            .column("A", "%", "", |at| if_compared(at, |of| cell(percent(of.s_a))))
+            .column("B", "%", "", |at| if_compared(at, |of| cell(percent(of.s_b))))
             .column(
                 "A − B",
                 "points",
@@ -133,23 +134,27 @@ impl Comparison {
                         0 => String::new(),
                         count => format!("{count} seeds: {}", seeds.join(", ")),
                     };
-                    of(at, |of| cell(points(of.difference))).below(seeds)
+                    if_compared(at, |of| cell(points(of.difference))).below(seeds)
                 },
             )
             .column("95 %", "", "", |at| {
-                of(at, |of| match of.no_interval {
+                if_compared(at, |of| match of.no_interval {
                     None => ends(points, of.difference_ci95),
                     Some(reason) => cell(reason),
                 })
             })
-            .column("A only", "", "rollouts that only A solves", |at| of(at, |of| cell(of.a_only)))
-            .column("B only", "", "rollouts that only B solves", |at| of(at, |of| cell(of.b_only)))
+            .column("A only", "", "rollouts that only A solves", |at| {
+                if_compared(at, |of| cell(of.a_only))
+            })
+            .column("B only", "", "rollouts that only B solves", |at| {
+                if_compared(at, |of| cell(of.b_only))
+            })
             .column(
                 "Holm p",
                 "",
                 "exact two-sided sign-flip test of A − B over tasks, corrected for the rows of the \
                  table",
-                |at| of(at, |of| cell(p_value(of.holm_p))),
+                |at| if_compared(at, |of| cell(p_value(of.holm_p))),
             )
             .when(cells.iter().any(|cell| cell.bounds.is_some()), |rows| {
                 rows.column(
@@ -162,16 +167,16 @@ impl Comparison {
                     },
                 )
             });
-        with_intervals(rows, self.bootstrap.replicates, absent).table()
+        with_intervals(rows, self.bootstrap.replicates, no_interval).table()
     }
 
     fn intervals(&self) -> Table {
-        let directions = match self.statistics.directions {
-            Directions::Own => "; in the row nominal, about new initial states",
-            Directions::Shared => " (in the row nominal, new initial states)",
+        let nominal_row = match self.statistics.directions {
+            Directions::Own => "; in the nominal row, about new initial states",
+            Directions::Shared => " (in the nominal row, new initial states)",
         };
         let directions =
-            format!("{}{directions}", about_directions(Some(self.statistics.directions)));
+            format!("{}{nominal_row}", about_directions(Some(self.statistics.directions)));
         Rows::new("A − B for further targets, points", self.compared())
             .key("rollouts", |(at, _): &Row<'_>| cell(at.name()))
             .column("new directions", "", directions, |(_, of)| {
@@ -223,7 +228,7 @@ impl Comparison {
 
     /// Returns A − B of each task, nominally and under all axes.
     fn tasks(&self) -> Table {
-        let columns = self.compared().filter(|(cell, _)| is_of_pairs(cell.condition));
+        let columns = self.compared().filter(|(cell, _)| is_summarised(cell.condition));
         let columns: Vec<(String, &Profile)> =
             columns.map(|(cell, of)| (cell.name(), &of.profile)).collect();
         let tasks = columns.iter().flat_map(|(_, profile)| profile.tasks.keys());
@@ -238,7 +243,7 @@ impl Comparison {
         table.table()
     }
 
-    /// Returns the table of a measure of partial progress; empty if it is of no rollout known.
+    /// Returns the table of a measure of partial progress; empty if no rollout has the measure.
     fn progress(
         &self,
         name: &str,

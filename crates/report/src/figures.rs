@@ -96,6 +96,7 @@ impl Figure {
             true => (svg::WIDE, "panel wide"),
             false => (WIDTH, "panel"),
         };
+        // Not `-padding`, which is written as `-0` without padding.
         let origin = svg::number(0.0 - padding);
         let (width, height) = (width + 2.0 * padding, self.height + 2.0 * padding);
         let (width, height) = (svg::number(width), svg::number(height));
@@ -116,6 +117,8 @@ impl Figure {
 /// Returns [`STYLE`] with the values of its variables, and always light: programs that convert SVG
 /// files to PDF know no variables, and a file does not follow the colours of its reader's desktop.
 fn literal_style() -> String {
+    // The style's first rule holds the variables of the light scheme, without spaces between them;
+    // every rule that begins with `@`, for dark schemes and for print, is a single line.
     let (_, light) = STYLE.split_once('{').unwrap_or_default();
     let light = light.split_once('}').map_or("", |(light, _)| light);
     let variables = light.split(';').filter(|declaration| declaration.starts_with("--"));

@@ -51,9 +51,14 @@ pub fn published_policies() -> Vec<&'static str> {
 }
 
 /// Returns the published success of a policy in rollouts like one: of its suite if it is nominal,
-/// otherwise under its condition at its level. `None` if the paper has no such figure.
+/// otherwise under its condition at its level. `None` if the paper has no such figure. `pi05` and
+/// `openvla_oft` are names of policies, too.
 pub fn published_rate(policy: &str, id: RolloutId) -> Option<f64> {
-    let of = PAPER.policies.iter().find(|of| of.policy == policy)?;
+    let plain = |name: &str| {
+        let name = name.to_lowercase().replace('π', "pi");
+        name.chars().filter(char::is_ascii_alphanumeric).collect::<String>()
+    };
+    let of = PAPER.policies.iter().find(|of| plain(&of.policy) == plain(policy))?;
     let at = of.levels.get(&id.level());
     match id.condition() {
         Condition::Nominal => {

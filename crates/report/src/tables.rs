@@ -52,13 +52,13 @@ pub(crate) fn ends(number: impl Fn(f64) -> String, interval: Option<Interval>) -
 /// Adds the meaning of intervals by resampling, and of the reasons why some are absent.
 pub(crate) fn with_intervals<R>(
     rows: Rows<R>,
-    replicates: u32,
-    absent: impl IntoIterator<Item = Option<NoInterval>>,
+    resamplings: u32,
+    no_interval: impl IntoIterator<Item = Option<NoInterval>>,
 ) -> Rows<R> {
-    let absent: Vec<NoInterval> = absent.into_iter().flatten().collect();
+    let absent: Vec<NoInterval> = no_interval.into_iter().flatten().collect();
     let [few, none] = [NoInterval::TooFewTasks, NoInterval::NoSpread];
     let meaning = "interval for the value on new tasks, from";
-    rows.note("95 %", format!("{meaning} {replicates} resamplings of whole tasks"))
+    rows.note("95 %", format!("{meaning} {resamplings} resamplings of whole tasks"))
         .when(absent.contains(&few), |rows| {
             let needed = "tasks for an interval by resampling, which needs";
             rows.note(few.name(), format!("too few {needed} {MIN_TASKS}"))

@@ -51,7 +51,7 @@ impl AssetPack {
         }
     }
 
-    /// Opens a pack with the digest of another process, so that a folder is not read twice.
+    /// Opens a pack whose digest another process has computed, so that a folder is not read twice.
     pub fn open_known(
         name_or_path: &str,
         sources: &Sources,
@@ -85,7 +85,7 @@ impl AssetPack {
     }
 
     /// Opens a given folder as the target of a fetch of LIBERO's assets. The folder need not exist.
-    pub fn into_folder(dir: &Path) -> Self {
+    pub fn to_fetch_into(dir: &Path) -> Self {
         let dir = std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned());
         Self::libero(dir, false)
     }
@@ -104,7 +104,8 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// A folder with LIBERO's and other files, such as LIBERO-PRO's models; the name is `custom`.
+    /// Opens a folder for tasks that need files beside LIBERO's, such as LIBERO-PRO's models: as
+    /// `custom`, with a digest of all its files. [`open`](Self::open) would ignore the other files.
     pub fn open_whole(dir: &Path) -> Result<Self, SceneError> {
         let dir = existing_folder(dir)?;
         let digest = digest_of_folder(&dir)?;
@@ -143,6 +144,7 @@ impl AssetPack {
         self.is_managed
     }
 
+    /// LIBERO's files that are altered or missing in a `custom` folder, each with its difference.
     pub fn differences(&self) -> &[String] {
         &self.differences
     }
@@ -205,7 +207,8 @@ pub fn digest_of_folder(dir: &Path) -> Result<String, SceneError> {
     Ok(hex::encode(hash.finalize()))
 }
 
-/// Limit of nesting, beyond any real pack; ends cycles of symbolic links.
+/// Nesting beyond which folders are ignored, so that cycles of symbolic links end; no real pack is
+/// so deep.
 const MAX_DEPTH: usize = 12;
 
 fn list_files(dir: &Path, files: &mut Vec<PathBuf>) -> Result<(), SceneError> {

@@ -14,7 +14,7 @@ use crate::error::SceneError;
 pub(crate) const REMEDY: &str = "run `cargo xtask setup`, or point --sources at the folder \
      share/rollout/sources of a release archive";
 
-/// Folder with files of the wheels: `robosuite/` holds files of robosuite's `models/assets`, and
+/// Folder with files of the Python wheels of robosuite and LIBERO: `robosuite/` holds files of robosuite's `models/assets`, and
 /// `libero/` holds `bddl_files` and `init_files`.
 #[derive(Debug, Clone)]
 pub struct Sources {
@@ -61,6 +61,7 @@ impl Sources {
         Self::fetched(dir, benchmark.name())
     }
 
+    /// Folder that a suite file names, chosen like [`fetched_pack`](Self::fetched_pack).
     pub fn suite_folder(dir: &Path, folder: &str) -> PathBuf {
         Self::fetched(dir, folder)
     }
@@ -107,8 +108,6 @@ pub(crate) enum RootKind {
 }
 
 impl RootKind {
-    const ALL: [Self; 2] = [Self::Pack, Self::Robosuite];
-
     /// Makes composed MJCF, and so the scene's digest, independent of the machine.
     fn token(self) -> &'static str {
         match self {
@@ -195,15 +194,14 @@ impl fmt::Display for FileRef {
     }
 }
 
+/// Replaces the placeholders of composed MJCF by the folders' paths, escaped for XML.
 pub(crate) fn locate_files(mjcf: &str, roots: [&AssetRoot; 2]) -> String {
     let mut text = mjcf.to_owned();
-    for kind in RootKind::ALL {
-        if let Some(root) = roots.iter().find(|root| root.kind == kind) {
-            let from = format!("file=\"{}/", kind.token());
-            let dir = root.dir.to_string_lossy();
-            let dir = dir.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
-            text = text.replace(&from, &format!("file=\"{dir}/"));
-        }
+    for root in roots {
+        let from = format!("file=\"{}/", root.kind.token());
+        let dir = root.dir.to_string_lossy();
+        let dir = dir.replace('&', "&amp;").replace('<', "&lt;").replace('"', "&quot;");
+        text = text.replace(&from, &format!("file=\"{dir}/"));
     }
     text
 }

@@ -14,9 +14,11 @@ use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::predicates::Goal;
 use crate::render::{Canvas, Drawer, View};
 
-const FINGERS: usize = ARM_JOINTS;
+/// Position of the first finger in the readings, after the arm's joints.
+const FIRST_FINGER: usize = ARM_JOINTS;
 /// Substep, from 0, whose kinematics are observed after a state was loaded.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
+/// Least width and height of a canvas, pixels, so that frames of LIBERO's sizes share one.
 const CANVAS_SIZE: u32 = 256;
 
 /// Observations show the *observed instant*, which lags behind the end of a control step like
@@ -59,7 +61,7 @@ impl Environment {
         Ok(environment)
     }
 
-    /// Requires loading or a reset before use. Leaves out contacts: unplaced objects overlap, and
+    /// Creates an environment that must be loaded or reset before use. It leaves out contacts: unplaced objects overlap, and
     /// solving their contacts would take most of the time and megabytes.
     pub fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
@@ -81,8 +83,9 @@ impl Environment {
         })
     }
 
-    /// Posture of LIBERO-Plus' robots. The controller keeps it even when a state is loaded
-    /// afterwards. The environment must be loaded or reset before use.
+    /// Sets the arm's joints at a reset, rad, which LIBERO-Plus' robots have otherwise. The
+    /// controller's rest posture is theirs even after a state is loaded. The environment must be
+    /// loaded or reset before use.
     pub fn set_reset_joints(&mut self, joints: [f64; ARM_JOINTS]) -> Result<(), SimError> {
         if joints != self.reset_joints {
             self.data.reset(&self.model);
@@ -139,12 +142,11 @@ impl Environment {
         self.burners.clone_from(&self.compiled.burners);
         self.update_burners();
         self.record_all();
-        // Discards warnings of an earlier rollout.
-        mujoco::take_warnings();
     }
 
-    /// Restores the cameras and lights of the scene; moving parts stay in place.
+    /// Restores the scene's cameras, lights and poses of fixtures; the state stays as it is.
     pub(crate) fn restore_appearance(&mut self) {
+        // The opacities of burners are part of the state.
         let site_rgba = self.model.site_rgba().to_vec();
         self.model.copy_own(&self.compiled.model);
         self.model.site_rgba_mut().copy_from_slice(&site_rgba);
@@ -157,7 +159,7 @@ impl Environment {
     }
 
     pub fn step_in(&mut self, action: &[f64; 7], frame: ActionFrame) -> Result<bool, SimError> {
-        // Discards warnings of a failed step of any environment on this thread.
+        // Discards warnings of a load, a reset or a failed step of any environment on this thread.
         mujoco::take_warnings();
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;
@@ -219,8 +221,8 @@ impl Environment {
             eef_rotation: rotation_of(quat),
             joint_pos: std::array::from_fn(|joint| pos[joint]),
             joint_vel: std::array::from_fn(|joint| vel[joint]),
-            gripper_pos: [pos[FINGERS], pos[FINGERS + 1]],
-            gripper_vel: [vel[FINGERS], vel[FINGERS + 1]],
+            gripper_pos: [pos[FIRST_FINGER], pos[FIRST_FINGER + 1]],
+            gripper_vel: [vel[FIRST_FINGER], vel[FIRST_FINGER + 1]],
         }
     }
 
@@ -280,6 +282,7 @@ impl Environment {
         self.pose_observed();
         let [width, height] = size.map(|side| side.max(CANVAS_SIZE));
         if self.canvas.as_ref().is_none_or(|canvas| !canvas.is_usable_for(drawer, width, height)) {
+            // Dropped first, so that two canvases never exist together.
             self.canvas = None;
             self.canvas = Some(Canvas::new(
                 drawer,

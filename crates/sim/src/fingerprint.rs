@@ -1,8 +1,9 @@
 //! Fingerprint of a slot's arithmetic: a digest over a fixed motion of a small scene, the algebra
 //! of the arm's controller, functions of the C library, and two frames. Slots with equal
 //! fingerprints compute this sample with equal bits; a processor, C library, driver or build that
-//! rounds differently gives another fingerprint. The fingerprint excludes the asset pack. Equal
-//! fingerprints are no proof: computations that the scene does not exercise may differ.
+//! rounds any of it differently gives another. The scene's solver is set as
+//! `scene::compose` sets it. The fingerprint excludes the asset pack. Equal
+//! fingerprints are no proof of equal rollouts: computations outside the sample may differ.
 
 use std::hint::black_box;
 use std::sync::Arc;
@@ -12,40 +13,49 @@ use nalgebra::SMatrix;
 use sha2::{Digest, Sha256};
 
 use crate::compiled_scene::{DISABLE_AUTORESET, DISABLE_NATIVE_CCD};
+use crate::controller::ARM_JOINTS;
 use crate::error::SimError;
 use crate::mujoco::{Data, Model, ObjectKind};
 use crate::render::{Canvas, Drawer, Prepared, View};
 
 /// Scene: an arm of seven joints that pushes objects.
 const SCENE: &str = include_str!("fingerprint.mjcf");
-/// Number of simulation steps, 2 ms each.
+/// Number of simulation steps.
 const STEPS: u32 = 150;
-const ARM_JOINTS: usize = 7;
+/// Duration of a simulation step, s.
+const STEP_SECS: f64 = 0.002;
 /// Amplitude of the motors' torques, N·m.
 const AMPLITUDE: f64 = 6.0;
-/// Share of the first motor's 20 rad/s by which each next one is faster; no two joints move alike.
+/// Frequency of the first motor's torque, rad/s.
+const FREQUENCY: f64 = 20.0;
+/// Share of it by which each next motor is faster; no two joints move alike.
 const DETUNING: f64 = 0.37;
 /// Cameras of the frames, with widths and heights, pixels.
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
 
 /// Returns the fingerprint of this process with a renderer and a look: SHA-256, hex.
 pub fn fingerprint(drawer: &Drawer, look: Look) -> Result<String, SimError> {
+    let (mut model, mut data, numbers) = simulate()?;
+    let frames = frames(drawer, &mut model, &mut data)?;
+    Ok(digest(look, &numbers, &frames))
+}
+
+fn simulate() -> Result<(Model, Data, Vec<f64>), SimError> {
     let mut model = Model::compile(SCENE)?;
     model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
     let mut data = Data::new(&model)?;
     let numbers = motion(&model, &mut data)?;
-    let frames = frames(drawer, &mut model, &mut data)?;
-    Ok(digest(look, &numbers, &frames))
+    Ok((model, data, numbers))
 }
 
 fn motion(model: &Model, data: &mut Data) -> Result<Vec<f64>, SimError> {
     let hand = model.id(ObjectKind::Site, "hand")?;
     let mut numbers = Vec::new();
     for step in 0..STEPS {
-        let secs = f64::from(step) * 0.002;
+        let secs = f64::from(step) * STEP_SECS;
         for (joint, torque) in data.ctrl_mut(model).iter_mut().enumerate() {
             let detuned = 1.0 + DETUNING * joint as f64;
-            *torque = AMPLITUDE * (20.0 * detuned * secs + detuned).sin();
+            *torque = AMPLITUDE * (FREQUENCY * detuned * secs + detuned).sin();
         }
         data.step(model);
         numbers.extend(data.contacts().map(|contact| contact.distance));
@@ -137,14 +147,6 @@ mod tests {
     use super::*;
     use crate::render::Renderer;
 
-    fn simulate() -> (Model, Data, Vec<f64>) {
-        let mut model = Model::compile(SCENE).expect("a model");
-        model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
-        let mut data = Data::new(&model).expect("data");
-        let numbers = motion(&model, &mut data).expect("a motion");
-        (model, data, numbers)
-    }
-
     #[test]
     fn a_fingerprint_is_repeatable_and_takes_less_than_three_seconds() {
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
@@ -160,7 +162,7 @@ mod tests {
 
     #[test]
     fn the_fingerprint_depends_on_the_look_and_every_bit_of_motion_and_frames() {
-        let (_, _, numbers) = simulate();
+        let (_, _, numbers) = simulate().expect("a motion");
         let frames = vec![vec![1, 2, 3], vec![4]];
         let whole = digest(Look::default(), &numbers, &frames);
         for place in [0, numbers.len() / 2, numbers.len() - 1] {
@@ -175,7 +177,7 @@ mod tests {
 
     #[test]
     fn the_motion_is_finite_and_has_contacts() {
-        let (model, data, numbers) = simulate();
+        let (model, data, numbers) = simulate().expect("a motion");
         assert!(numbers.iter().all(|number| number.is_finite()));
         assert_eq!(data.instabilities(), 0);
         let touching: BTreeSet<i32> = data.contacts().flat_map(|contact| contact.geoms).collect();
@@ -189,7 +191,7 @@ mod tests {
 
     #[test]
     fn the_frames_show_the_scene() {
-        let (mut model, mut data, _) = simulate();
+        let (mut model, mut data, _) = simulate().expect("a motion");
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
         let frames = frames(&drawer, &mut model, &mut data).expect("frames");
         for (frame, (camera, width, height)) in frames.iter().zip(FRAMES) {

@@ -15,11 +15,12 @@ pub(crate) const PERTURBED_CAMERA: &str = "agentview";
 /// `mjJNT_FREE`.
 pub(crate) const FREE_JOINT: i32 = 0;
 
-/// Data computed once for all rollouts, shared by environments.
+/// A task's compiled scene and what is computed from it once, shared by all environments of the task.
 pub struct ReadyScene {
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) states: InitialStates,
     pub(crate) digest: String,
+    /// Point that the perturbed camera turns about, world frame, m.
     pub(crate) look_at: [f64; 3],
     /// Pose of the perturbed camera as written in the arena, before MuJoCo normalises it.
     pub(crate) written_camera: Option<WrittenPose>,
@@ -44,6 +45,7 @@ impl ReadyScene {
         let needed = 1 + environment.model().nq() + environment.model().nv();
         if states.width() != needed {
             return Err(SimError::StateWidth {
+                // All states of a file have one width.
                 id: 0,
                 file: files.init.display().to_string(),
                 found: states.width(),

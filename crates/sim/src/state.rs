@@ -8,7 +8,7 @@ use crate::compiled_scene::{Burner, hide_marker_sites};
 use crate::controller::{Controller, SUBSTEPS};
 use crate::environment::{Environment, JointReadings};
 use crate::error::SimError;
-use crate::mujoco::{self, Data, Model};
+use crate::mujoco::{Data, Model};
 use crate::reset::Reset;
 
 /// Environments of one compiled scene can exchange snapshots.
@@ -72,8 +72,6 @@ impl Environment {
         self.control_steps = 0;
         self.observed_substep = SUBSTEPS;
         self.observe_now();
-        // Discards warnings of an earlier rollout.
-        mujoco::take_warnings();
         Ok(rounds)
     }
 

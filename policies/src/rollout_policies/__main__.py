@@ -50,7 +50,7 @@ def main(arguments: list[str] | None = None) -> int:
         with contextlib.redirect_stdout(sys.stderr):
             policy = load(flags.policy, options)
         serve(policy, **serve_options)
-    except (NoCheckpoint, UnusableOption, UnguardedAddress) as error:
+    except (IncompletePair, NoCheckpoint, UnusableOption, UnguardedAddress) as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except (UpstreamMissing, UnusableCheckpoint, AccessError, OSError) as error:

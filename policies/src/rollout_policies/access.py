@@ -42,6 +42,10 @@ class AccessError(ValueError):
     """The certificate, key or tokens cannot be used. The message never contains a token."""
 
 
+class IncompletePair(ValueError):
+    """A certificate without its key, or a key without its certificate."""
+
+
 class UnguardedAddress(ValueError):
     """Other machines could connect, but TLS or tokens are missing."""
 

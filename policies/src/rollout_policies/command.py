@@ -46,7 +46,7 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
     try:
         options = server_options(flags)
         require_servable(**options)
-    except UnguardedAddress as error:
+    except (IncompletePair, UnguardedAddress) as error:
         parser.error(str(error))
     except (AccessError, CannotListen) as error:
         sys.exit(f"error: {error}")
@@ -113,11 +113,10 @@ def add_server_flags(parser: argparse.ArgumentParser) -> None:
 
 
 def server_options(flags: argparse.Namespace) -> dict[str, Any]:
-    """Returns the flags as arguments of `serve`. Raises UnguardedAddress if a
-    certificate is given without its key, or a key without its certificate."""
+    """Returns the flags as arguments of `serve`. Raises IncompletePair."""
     pair = (flags.tls_cert, flags.tls_key)
     if any(pair) and not all(pair):
-        raise UnguardedAddress("--tls-cert and --tls-key belong together: give both")
+        raise IncompletePair("--tls-cert and --tls-key belong together: give both")
     return {
         "listen": flags.listen,
         "tls": pair if all(pair) else None,
@@ -135,7 +134,8 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
         )
     doc = inspect.cleandoc(policy_class.__doc__ or f"Serves {policy_class.__name__}.")
     parser = argparse.ArgumentParser(
-        description=doc.replace("%(prog)", "%%(prog)"),
+        # argparse formats a description that contains %(prog), and then every % in it.
+        description=doc.replace("%", "%%") if "%(prog)" in doc else doc,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )

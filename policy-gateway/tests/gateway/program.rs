@@ -132,18 +132,18 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
         HealthClient::new(endpoint.connect_lazy()).check(HealthCheckRequest::default()).await;
     health.expect("health is for everybody");
 
-    let role = |role| {
+    let client_of = |role| {
         let arguments = ClientArguments { token_file: Some(tokens.path().to_owned()), ca: None };
         let access = arguments.access(&[role]).expect("a token");
         let connection = access.connect_lazy(endpoint.clone()).expect("no TLS");
         PolicyClient::new(connection)
     };
-    let answered = role(Role::Worker).describe(describe("noop")).await;
+    let answered = client_of(Role::Worker).describe(describe("noop")).await;
     assert_eq!(answered.expect("a worker").get_ref().name, "noop");
-    let refused = role(Role::Viewer).describe(describe("noop")).await;
+    let refused = client_of(Role::Viewer).describe(describe("noop")).await;
     assert_refused(refused, Code::PermissionDenied, &[]);
 
-    // A token in the environment is enough to check a policy.
+    // A token file named in the environment is enough to check a policy.
     let url = format!("grpc://{address}");
     let checked = program(&["check", &format!("{url}/noop")])
         .env("ROLLOUT_TOKEN_FILE", path)

@@ -40,7 +40,7 @@ pub(crate) fn fetch_assets(
 ) -> PyResult<(PathBuf, usize, usize)> {
     let sources = Sources::open(&sources).map_err(error::scene)?;
     let pack = match into {
-        Some(folder) => AssetPack::into_folder(&folder),
+        Some(folder) => AssetPack::to_fetch_into(&folder),
         None => opened_pack(LIBERO, &sources).map_err(error::scene)?,
     };
     let files = if everything {

@@ -62,6 +62,7 @@ def test_an_operator_and_the_program_use_a_coordinator_with_tls_and_tokens(
     lines = [f"{role} {token}" for role, token in sorted(TOKENS.items(), reverse=True)]
     tokens = token_file(tmp_path, "# mine", *lines)
     client = connect(guarded, ca=certificates / "ca.pem", token_file=tokens)
+    # The forecast runs the program `coordinator`; the other calls reach the coordinator directly.
     campaign = client.create(specification("guarded"))
     assert campaign.report().success["missing"].sum() == 8
     assert client.forecast(specification("more")).total == 8

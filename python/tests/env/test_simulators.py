@@ -41,7 +41,8 @@ SIMULATORS = {
 }
 
 
-def chosen(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Settings]:
+def prepare(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Settings]:
+    """Returns the simulator's SPEC with options, and its settings; skips without its package."""
     package, spec = SIMULATORS[name]
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"{package} is not installed in this environment")
@@ -56,14 +57,14 @@ def chosen(name: str, monkeypatch: pytest.MonkeyPatch) -> tuple[str, Settings]:
 
 @pytest.mark.parametrize("name", SIMULATORS)
 def test_a_simulator_conforms(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    _, options = chosen(name, monkeypatch)
+    _, options = prepare(name, monkeypatch)
     findings = list(check(lambda: open_simulator(options)))
     assert not [one for one in findings if one.is_error], findings
 
 
 @pytest.mark.parametrize("name", SIMULATORS)
 def test_every_task_runs_through_the_pipe(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    spec, _ = chosen(name, monkeypatch)
+    spec, _ = prepare(name, monkeypatch)
     with Client([sys.executable, "-m", "rollout_env", "serve", *spec.split()]) as pipe:
         about = pipe.description
         cameras = [Camera(**camera) for camera in about["cameras"]]
@@ -81,7 +82,7 @@ def test_every_task_runs_through_the_pipe(name: str, monkeypatch: pytest.MonkeyP
 
 def test_metaworlds_experts_succeed_through_the_pipe(monkeypatch: pytest.MonkeyPatch) -> None:
     """The same rollout twice: one seed is one rollout, action by action."""
-    chosen("metaworld", monkeypatch)
+    prepare("metaworld", monkeypatch)
     experts = importlib.import_module("metaworld_experts")
     with experts.serve("reach-v3,push-v3") as pipe:
         for task in ("reach-v3", "push-v3"):

@@ -46,7 +46,8 @@ def test_environments_of_a_task_get_different_initial_states(make_vector):
     assert states == [[0, 1, 2, 3], [4, 5, 6, 7]]
     assert environments.reset(seed=11)[1]["init_state"].tolist() == [11, 12, 13, 14]
     assert environments.reset()[1]["init_state"].tolist() == [15, 16, 17, 18]
-    # A seed in a list selects the same initial state as in a single environment.
+    # A seed in a list selects the same initial state as in a single environment. The fourth has none
+    # and takes its own next turn, four after 18.
     assert environments.reset(seed=[3, 3, 9, None])[1]["init_state"].tolist() == [3, 3, 9, 22]
     # Each task has its own sequence of states.
     tasks = ["libero_goal/0", "libero_object/1", "libero_goal/0"]

@@ -393,7 +393,7 @@ def test_omitted_keys_are_not_observed(env: OffScreenRenderEnv) -> None:
     assert observation["robot0_proprio-state"].shape == (32,)
     env.env.modify_observable("agentview_image", "enabled", True)
     assert "agentview_image" in env.step(NO_OP)[0]
-    with pytest.raises(KeyError, match="nothing is observed as"):
+    with pytest.raises(KeyError, match="there is no observation"):
         env.env.modify_observable("sideview_image", "enabled", True)
     with pytest.raises(NotImplementedError, match="corrupter"):
         env.env.modify_observable("agentview_image", "corrupter", None)

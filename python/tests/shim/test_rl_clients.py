@@ -1,5 +1,5 @@
-"""Unmodified files of RLinf on the shim, which are installed with the other clients
-(`ROLLOUT_CLIENTS`, test_clients.py)."""
+"""Unmodified files of RLinf on the shim, in RLinf's own processes and in one process (kinds that end
+in `_together`). RLinf is installed with the other clients (`ROLLOUT_CLIENTS`, test_clients.py)."""
 
 import subprocess
 from pathlib import Path
@@ -24,18 +24,18 @@ def roll_out(rlinf: str, shim: Path, out: Path, kind: str) -> Any:
     return run(rlinf, "rl_rollouts.py", kind, **settings)
 
 
-def assert_same(ours: Any, theirs: Any, label: str) -> None:
-    if isinstance(theirs, dict):
-        assert list(ours) == list(theirs), label
-        for key in theirs:
-            assert_same(ours[key], theirs[key], f"{label}/{key}")
-    elif isinstance(theirs, list | tuple):
-        assert len(ours) == len(theirs), label
-        for i, (our, their) in enumerate(zip(ours, theirs)):
-            assert_same(our, their, f"{label}/{i}")
+def assert_same(found: Any, expected: Any, label: str) -> None:
+    if isinstance(expected, dict):
+        assert list(found) == list(expected), label
+        for key in expected:
+            assert_same(found[key], expected[key], f"{label}/{key}")
+    elif isinstance(expected, list | tuple):
+        assert len(found) == len(expected), label
+        for i, (one, other) in enumerate(zip(found, expected)):
+            assert_same(one, other, f"{label}/{i}")
     else:
-        assert type(ours) is type(theirs), label
-        np.testing.assert_array_equal(ours, theirs, err_msg=label)
+        assert type(found) is type(expected), label
+        np.testing.assert_array_equal(found, expected, err_msg=label)
 
 
 @pytest.mark.parametrize(
@@ -44,12 +44,12 @@ def assert_same(ours: Any, theirs: Any, label: str) -> None:
 def test_rlinf_in_one_process_equals_rlinfs_processes(
     kind: str, rlinf: str, shim: Path, tmp_path: Path
 ) -> None:
-    theirs = roll_out(rlinf, shim, tmp_path, kind)
-    ours = roll_out(rlinf, shim, tmp_path, f"{kind}_together")
-    assert ours["tasks"] == theirs["tasks"]
+    in_processes = roll_out(rlinf, shim, tmp_path, kind)
+    in_one_process = roll_out(rlinf, shim, tmp_path, f"{kind}_together")
+    assert in_one_process["tasks"] == in_processes["tasks"]
     # Two resets, each with an observation, and with results and a count for each of two chunks.
-    assert len(theirs["outputs"]) == 10
-    assert_same(ours["outputs"], theirs["outputs"], kind)
+    assert len(in_processes["outputs"]) == 10
+    assert_same(in_one_process["outputs"], in_processes["outputs"], kind)
 
 
 def test_rlinf_runs_tasks_of_all_suites(rlinf: str, shim: Path, tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ fn run(arguments: &Arguments) -> Result<bool> {
     Ok(passed == tasks.len())
 }
 
-/// Prints the table that docs/FAMILY.md summarises.
+/// Prints the table that docs/dev/FIDELITY.md summarises.
 fn family(arguments: &Arguments, sources: Sources) -> Result<bool> {
     let pack = open_pack(&arguments.assets, &sources, TaskRef::all())?.with_look(arguments.look);
     let pictures = arguments.pictures.as_deref();

@@ -1,4 +1,4 @@
-//! Table of the comparison, which docs/FAMILY.md summarises.
+//! Table of the comparison, which docs/dev/FIDELITY.md summarises.
 
 use std::collections::BTreeMap;
 use std::fmt;

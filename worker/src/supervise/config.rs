@@ -32,9 +32,10 @@ pub struct Config {
     pub simulators: Vec<String>,
     /// Endpoint of the policies, which overrides the endpoints of the leases.
     pub policy_endpoint: Option<String>,
-    /// Longest time to finish rollouts in flight after the worker is asked to end.
+    /// Longest time to finish rollouts in flight after the worker is asked to end; `None` sets no
+    /// limit.
     pub drain: Option<Duration>,
-    /// Idle time after which the worker ends.
+    /// Idle time after which the worker ends; `None` waits for work without end.
     pub idle: Option<Duration>,
     /// Folder for videos before their upload.
     pub scratch: PathBuf,
@@ -103,7 +104,7 @@ pub(super) struct Timing {
     pub(super) progress_timeout: Duration,
 }
 
-/// Time limits until the registration, before which no rollout is simulated.
+/// Placeholder until the registration, before which no heartbeat is sent and no rollout runs.
 pub(super) const TIMING_UNTIL_REGISTERED: Timing =
     Timing { heartbeat: Duration::from_secs(5), progress_timeout: Duration::from_secs(180) };
 

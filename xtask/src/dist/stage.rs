@@ -14,14 +14,14 @@ use super::licences;
 use super::native::{Elf, oldest_glibc};
 use super::release::PROGRAMS;
 
-/// Name of MuJoCo's library.
 const MUJOCO: &str = "libmujoco.so.3.3.7";
 
 /// Extensions of the files that scenes are made from. No program reads the other files of the
 /// source folders, which together are twice as large as these.
 const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
-/// Folders of the archive for documents, and for the files that scenes are made from.
+/// Folders of the archive for documents, and for the files that scenes are made from, where
+/// `scene::Sources` looks for them beside `bin`.
 pub(super) const DOCUMENTS: &str = "share/doc/rollout";
 const SOURCES: &str = "share/rollout/sources";
 
@@ -45,7 +45,7 @@ pub(crate) fn fill(root: &Path, cache: &Path, programs: &Path, folder: &Path) ->
     let documents_folder = folder.join(DOCUMENTS);
     step("documents", || documents(root, folder, &documents_folder).map(|()| "copied"))?;
     step("licences", || match licences::tool(root) {
-        // The development profile packs without them.
+        // Only a development archive: `dist::run` requires the tool before it builds a release.
         Err(error) => Ok(format!("skipped: {error:#}")),
         Ok(()) => {
             licences::write(root, cache, &documents_folder)?;

@@ -21,7 +21,9 @@ pub(super) fn path_text(path: &Path) -> Result<String, CommandError> {
 /// Accepts a value without control characters, so that it cannot break its line of the script.
 pub(super) fn one_line(flag: &str, value: String) -> Result<String, CommandError> {
     match value.chars().any(char::is_control) {
-        true => Err(usage(anyhow!("use {flag} {value:?}: write it on one line"))),
+        true => Err(usage(anyhow!(
+            "use {flag} {value:?}: write it on one line, without control characters"
+        ))),
         false => Ok(value),
     }
 }
@@ -36,7 +38,7 @@ pub(super) fn slurm_word(
     match !value.is_empty() && value.chars().all(is_plain_char) {
         true => Ok(Some(value.clone())),
         false => {
-            Err(usage(anyhow!("use {flag} {value:?}: write letters, digits, or one of _-+.,:=@/")))
+            Err(usage(anyhow!("use {flag} {value:?}: write only letters, digits and _-+.,:=@/")))
         }
     }
 }

@@ -11,7 +11,7 @@ use benchmark::{
 use clap::Args;
 use coordinator::client::{Client, RETRY_FOR, Service};
 use paired::{Order, Unit};
-use proto::coordinator::CreateCampaignRequest;
+use proto::coordinator::{AlterCampaignRequest, CreateCampaignRequest};
 use queue::Created;
 use queue::expand::NewCampaign;
 use report::Document;
@@ -92,6 +92,7 @@ impl Evaluation {
         gateway: &str,
     ) -> Result<(), CommandError> {
         let client = Client::new(&format!("http://{coordinator}"), &Access::default(), RETRY_FOR)?;
+        let url = format!("http://{gateway}");
         let mut names = Vec::new();
         for policy in policies {
             let Some(campaign) = self.campaign(&policy.name, gateway)? else {
@@ -99,6 +100,15 @@ impl Evaluation {
             };
             check(&policy.name, gateway).await?;
             let name = campaign.name.to_string();
+            let mut existing = client.list_campaigns().await?.into_iter();
+            let existing = existing.find(|of| of.name == name && of.policy == policy.name);
+            // The gateway may listen elsewhere than when the evaluation was interrupted.
+            if existing.is_some_and(|of| of.endpoint != url) {
+                let (campaign, policy_endpoint) = (name.clone(), Some(url.clone()));
+                let moved =
+                    AlterCampaignRequest { campaign, policy_endpoint, ..Default::default() };
+                client.call(moved, Service::alter_campaign).await?;
+            }
             let request = CreateCampaignRequest { spec: campaign.spec, priority: 0 };
             let created: Created = client.ask(request, Service::create_campaign).await?;
             let verb = if created.jobs_added == 0 { "continues" } else { "begins" };

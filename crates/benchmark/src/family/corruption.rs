@@ -57,8 +57,8 @@ impl Kind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Corruption {
     kind: Kind,
-    /// Severity, from 0.
-    severity: usize,
+    /// Index into the tables of the kinds: severity − 1.
+    severity_index: usize,
 }
 
 impl Corruption {
@@ -66,21 +66,22 @@ impl Corruption {
     pub fn new(number: u8) -> Option<Self> {
         let index = number.checked_sub(1)?;
         let kind = *Kind::ALL.get(usize::from(index / SEVERITIES))?;
-        let severity = usize::from(index % SEVERITIES);
-        Some(Self { kind, severity })
+        let severity_index = usize::from(index % SEVERITIES);
+        Some(Self { kind, severity_index })
     }
 
     /// Returns the number, 1 to 50.
     pub const fn number(self) -> u8 {
-        self.kind as u8 * SEVERITIES + self.severity as u8 + 1
+        self.kind as u8 * SEVERITIES + self.severity_index as u8 + 1
     }
 
     pub const fn kind(self) -> Kind {
         self.kind
     }
 
+    /// Returns the severity, 1 to 10.
     pub const fn severity(self) -> usize {
-        self.severity + 1
+        self.severity_index + 1
     }
 
     /// Advances the generator as if a picture of the given size were corrupted.
@@ -89,7 +90,7 @@ impl Corruption {
             Kind::Motion => motion::skip(rng),
             Kind::Gaussian | Kind::Zoom => {}
             Kind::Fog => fog::skip(rng),
-            Kind::Glass => glass::skip(height, width, self.severity, rng),
+            Kind::Glass => glass::skip(height, width, self.severity_index, rng),
         }
     }
 
@@ -113,11 +114,11 @@ impl Corruption {
     ) -> Result<(), UnsuitedPicture> {
         self.check(picture.height, picture.width, picture.rgb.len())?;
         match self.kind {
-            Kind::Motion => motion::blur(picture, self.severity, rng),
-            Kind::Gaussian => gaussian::blur_picture(picture, self.severity),
-            Kind::Zoom => zoom::blur(picture, self.severity),
-            Kind::Fog => fog::add_fog(picture, self.severity, rng),
-            Kind::Glass => glass::blur(picture, self.severity, rng),
+            Kind::Motion => motion::blur(picture, self.severity_index, rng),
+            Kind::Gaussian => gaussian::blur_picture(picture, self.severity_index),
+            Kind::Zoom => zoom::blur(picture, self.severity_index),
+            Kind::Fog => fog::add_fog(picture, self.severity_index, rng),
+            Kind::Glass => glass::blur(picture, self.severity_index, rng),
         }
         Ok(())
     }
@@ -131,8 +132,8 @@ impl fmt::Display for Corruption {
 
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`, which supports {}, \
-     with three bytes per pixel, only; have the policy request such a size",
+    "corrupt a picture of {width}×{height} pixels and {bytes} bytes with `{}`, which supports only {}, \
+     with three bytes per pixel; have the policy request a supported size",
     kind.name(),
     kind.supported_pictures()
 )]
@@ -143,7 +144,8 @@ pub struct UnsuitedPicture {
     bytes: usize,
 }
 
-/// A picture: rows of pixels of three bytes, in the order in which corruptions process them.
+/// A picture: rows of pixels of three bytes, from the bottom up like LIBERO's arrays; corruptions process them
+/// in this order.
 #[derive(Debug)]
 pub struct Picture<'a> {
     pub height: usize,

@@ -9,8 +9,8 @@ use rand_chacha::rand_core::Rng;
 use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
-use super::in_flight::Films;
 use super::means::MeansOfWorkers;
+use super::unfilmed::UnfilmedRollouts;
 use crate::clock::{Clock, UnixMillis};
 use crate::remote_storage::RemoteStorage;
 use crate::store::Store;
@@ -26,8 +26,8 @@ pub(crate) struct Shared {
     pub(super) cache: tokio::sync::Mutex<Cache>,
     /// Held while a video is added to the data folder or removed from it.
     pub(crate) files: tokio::sync::Mutex<()>,
-    pub(super) films: Films,
-    /// Tasks whose files workers lack.
+    pub(super) films: UnfilmedRollouts,
+    /// Tasks that workers can run.
     pub(crate) means: Arc<MeansOfWorkers>,
     /// Remote storage of videos, if configured.
     pub(crate) remote_storage: Option<Arc<dyn RemoteStorage>>,
@@ -58,7 +58,7 @@ impl Shared {
             timing,
             cache: tokio::sync::Mutex::default(),
             files: tokio::sync::Mutex::default(),
-            films: Films::default(),
+            films: UnfilmedRollouts::default(),
             means: Arc::default(),
             remote_storage,
             work: Notify::new(),

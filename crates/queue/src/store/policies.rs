@@ -27,6 +27,7 @@ pub(crate) async fn find_or_insert(
     name: &str,
     now: UnixMillis,
 ) -> Result<PolicyId, StoreError> {
+    // The update changes nothing; without one, RETURNING gives no row for an existing policy.
     sqlx::query_scalar(
         "INSERT INTO policy (endpoint, name, available_ms) VALUES (?, ?, ?)
          ON CONFLICT DO UPDATE SET name = excluded.name RETURNING id",
@@ -39,7 +40,7 @@ pub(crate) async fn find_or_insert(
     .doing("store a policy")
 }
 
-/// Removes a policy that no campaign measures any more.
+/// Removes a policy unless a campaign still measures it.
 pub(crate) async fn remove_unused(
     tx: &mut SqliteConnection,
     id: PolicyId,

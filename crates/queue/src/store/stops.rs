@@ -31,10 +31,11 @@ pub struct EarlyStop {
     #[sqlx(json)]
     #[serde(flatten)]
     pub stop: Stop,
+    /// Number of all configurations of the campaign.
     pub configurations: u32,
     /// Number of configurations after which the campaign stopped; `None` if it has not stopped.
     pub used: Option<u32>,
-    /// Number of rollouts that do not run; `None` if it has not stopped.
+    /// Number of rollouts that do not run and stay queued; `None` if it has not stopped.
     pub saved: Option<u32>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::{Block, Cell, Kind, Table};
 
-/// Most columns of a table that stands upright.
+/// Most columns of a table that is neither transposed nor sideways.
 const MOST_COLUMNS: usize = 13;
 /// Shrinks a table that is wider than the text.
 const FITTING: &str = "\\resizebox{\\ifdim\\width>\\linewidth\\linewidth\\else\\width\\fi}{!}";
@@ -20,23 +20,24 @@ pub(crate) fn latex<'a, 'b: 'a>(blocks: impl IntoIterator<Item = &'a Block<'b>>)
 }
 
 impl Table {
-    /// Writes the table; one of many columns gets a column per record if these are few, or else lies on
-    /// its side.
+    /// Writes the table. One of many columns is transposed, with a column per record, if it has fewer
+    /// records than columns; otherwise it is printed sideways.
     fn latex(&self) -> String {
         let records: Vec<Vec<Vec<String>>> =
             self.rows.iter().map(|row| row.iter().map(Cell::lines).collect()).collect();
-        let is_turned = self.columns.len() > MOST_COLUMNS && self.rows.len() < self.columns.len();
-        let lines = match is_turned {
-            true => self.turned(&records),
+        let is_transposed =
+            self.columns.len() > MOST_COLUMNS && self.rows.len() < self.columns.len();
+        let lines = match is_transposed {
+            true => self.transposed(&records),
             false => {
                 let heads = self.columns.iter().map(|column| vec![column.head()]).collect();
                 [heads].into_iter().chain(records).collect()
             }
         };
-        let heads = if is_turned { self.keys() } else { 1 };
-        let is_wide = self.columns.len() > MOST_COLUMNS && !is_turned;
-        let float = if is_wide { "sidewaystable" } else { "table" };
-        let columns: String = match is_turned {
+        let heading_rows = if is_transposed { self.keys() } else { 1 };
+        let is_sideways = self.columns.len() > MOST_COLUMNS && !is_transposed;
+        let float = if is_sideways { "sidewaystable" } else { "table" };
+        let columns: String = match is_transposed {
             true => format!("l{}", "r".repeat(self.rows.len())),
             false => {
                 let columns = self.columns.iter();
@@ -46,12 +47,12 @@ impl Table {
         let mut previous = "";
         let rows = lines.iter().enumerate().map(|(index, row)| {
             let name = row[0].first().map_or("", String::as_str);
-            // A name stands in the first of its rows only.
-            let repeats = self.keys() > 1 && !is_turned && name == previous;
+            // Of consecutive rows with the same first key, only the first shows it.
+            let repeats = self.keys() > 1 && !is_transposed && name == previous;
             previous = name;
             let cells = row.iter().skip(usize::from(repeats)).map(|lines| latex_cell(lines));
             let cells = repeats.then(String::new).into_iter().chain(cells);
-            let rule = if index + 1 == heads { "\\midrule\n" } else { "" };
+            let rule = if index + 1 == heading_rows { "\\midrule\n" } else { "" };
             format!("{} \\\\\n{rule}", cells.collect::<Vec<_>>().join(" & "))
         });
         let rows: String = rows.collect();
@@ -98,7 +99,7 @@ fn escaped(words: &str) -> String {
             'π' => text.push_str("$\\pi$"),
             'α' => text.push_str("$\\alpha$"),
             '–' => text.push_str("--"),
-            // An interval after a line's end would be its optional argument.
+            // LaTeX would read a `[` after `\\` as the beginning of an optional argument.
             '[' => text.push_str("{[}"),
             letter => text.push(letter),
         }

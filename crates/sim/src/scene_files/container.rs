@@ -1,5 +1,6 @@
-//! File format of sections: a header with name, length and checksum, a section table, and the
-//! sections, each aligned as required by MuJoCo's arrays and the software renderer.
+//! File format of sections: a header with name, length and checksum; a table, which has the number
+//! of sections and each one's start and length as native 64-bit integers; and the sections, each
+//! aligned as required by MuJoCo's arrays and the software renderer.
 
 use std::fs::File;
 use std::io::{self, BufWriter, Read, Seek, SeekFrom, Write};
@@ -27,13 +28,10 @@ pub(super) fn write(
     name: &str,
     sections: &[Vec<&[u8]>],
 ) -> io::Result<()> {
-    let lengths = || {
-        let parts = sections.iter();
-        parts.map(|parts| parts.iter().map(|part| part.len()).sum::<usize>())
-    };
     let mut table = vec![sections.len() as u64];
     let mut end = HEAD + 8 + 16 * sections.len();
-    for length in lengths() {
+    for parts in sections {
+        let length: usize = parts.iter().map(|part| part.len()).sum();
         let start = end.next_multiple_of(ALIGNMENT);
         table.extend([start as u64, length as u64]);
         end = start + length;

@@ -16,8 +16,8 @@ const RADIUS_STEP: f64 = 0.1;
 const HOME: [f64; JOINTS] =
     [0.0, -0.161_037_389, 0.0, -2.444_597_47, 0.0, 2.226_752_2, std::f64::consts::FRAC_PI_4];
 
-/// Returns the joint angles at the reset of robot `number`, 1 to 500, rad; `None` for other
-/// numbers.
+/// Returns the joint angles, rad, at the reset of robot `number`, 1 to 500 (`_initstate_K` of a
+/// variant's name); `None` for other numbers.
 pub fn start_posture(number: u16) -> Option<[f64; JOINTS]> {
     static POSTURES: OnceLock<Vec<[f64; JOINTS]>> = OnceLock::new();
     let postures = POSTURES.get_or_init(|| {

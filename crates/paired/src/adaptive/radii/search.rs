@@ -2,7 +2,8 @@
 
 use benchmark::{AxisSet, Condition, Level, Radii, Thresholds};
 
-/// Rounding error by which a bracket may exceed the tolerance: radii have six decimals.
+/// Amount by which a bracket may exceed the tolerance: ample for the rounding of radii to six
+/// decimals.
 const ROUNDING: f64 = 1e-5;
 
 /// Parameters of the search for a threshold.
@@ -18,7 +19,8 @@ pub struct Search {
     /// Largest width of a finished bracket, in units of radius; `None` if no radii between
     /// those of the grid exist.
     pub tolerance: Option<f64>,
-    /// Distance between neighbouring radii that can be run; `None` if all can.
+    /// Distance between neighbouring radii that can be run; `None` if all can, or only those of the
+    /// grid.
     pub spacing: Option<f64>,
 }
 
@@ -37,7 +39,12 @@ impl Search {
         }
         let mut grid = Thresholds { max_radius, ..thresholds.clone() }.grid();
         grid.retain(|level| radii.iter().all(|radii| radii.contains(*level)));
-        let tolerance = thresholds.tolerance.max(spacing.unwrap_or_default());
+        // A bracket's width is a multiple of the spacing; rounded down, so that `most_rollouts` counts
+        // the halvings that `halfway` makes.
+        let tolerance = match spacing {
+            Some(spacing) => (thresholds.tolerance / spacing).floor().max(1.0) * spacing,
+            None => thresholds.tolerance,
+        };
         let tolerance = (!radii.contains(&Radii::Named)).then_some(tolerance);
         Self { grid, tolerance, spacing }
     }
@@ -62,10 +69,10 @@ impl Search {
     }
 
     /// Returns the upper bound of the number of further rollouts of a ray: the radii of the grid
-    /// for which `is_supplied` is false, and the halvings of the widest bracket that quarantined
-    /// rollouts can leave.
-    pub fn most_rollouts(&self, is_supplied: impl Fn(Level) -> bool) -> u32 {
-        let grid = self.grid.iter().filter(|level| !is_supplied(**level));
+    /// for which `has_outcome` is false, and the halvings of the widest bracket that quarantined
+    /// rollouts can leave: from 0 to the largest radius.
+    pub fn most_rollouts(&self, has_outcome: impl Fn(Level) -> bool) -> u32 {
+        let grid = self.grid.iter().filter(|level| !has_outcome(**level));
         let widest = self.largest().map_or(0.0, Level::radius);
         let halvings = match self.tolerance {
             Some(tolerance) => (widest / tolerance).log2().ceil().max(0.0) as u32,

@@ -11,6 +11,9 @@ use proptest::prelude::*;
 
 use super::thresholds;
 
+/// Amount by which a bracket may exceed the tolerance, since radii have six decimals.
+const ROUNDING: f64 = 1e-5;
+
 fn level(radius: f64) -> Level {
     Level::of_radius(radius).expect("a radius")
 }
@@ -73,11 +76,11 @@ proptest! {
             Threshold::Between { succeeds_at, fails_at } => {
                 let [low, high] = [succeeds_at.radius(), fails_at.radius()];
                 prop_assert!(low < at && at <= high);
-                prop_assert!(high - low <= tolerance + 1e-5);
+                prop_assert!(high - low <= tolerance + ROUNDING);
                 let grid = || search.grid.iter().map(|level| level.radius());
                 let below = grid().filter(|radius| *radius < at).fold(0.0, f64::max);
                 let above = grid().find(|radius| *radius >= at).expect("a failing radius");
-                halvings = ((above - below) / (tolerance + 1e-5)).log2().ceil().max(0.0);
+                halvings = ((above - below) / (tolerance + ROUNDING)).log2().ceil().max(0.0);
             }
             other => prop_assert!(false, "{other:?}"),
         }
@@ -105,7 +108,7 @@ proptest! {
                 let width = fails_at.radius() - succeeds_at.radius();
                 let middle = level(succeeds_at.radius() + width / 2.0);
                 prop_assert!(
-                    width <= tolerance + 1e-5 || outcomes.at(middle) == Some(Outcome::Quarantined)
+                    width <= tolerance + ROUNDING || outcomes.at(middle) == Some(Outcome::Quarantined)
                 );
             }
             Threshold::Beyond => prop_assert_eq!(fails, None),
@@ -124,29 +127,30 @@ proptest! {
         let search = search(0.25, 16.0);
         let outcome = |level| pseudorandom(seed, level, failing, 2);
         let together = run(&search, outcome);
-        // Settles one outcome at a time in a random order, with a new decision after each.
-        let mut settled: BTreeMap<Level, Outcome> = BTreeMap::new();
+        // Outcomes of all requested rollouts, at first missing; one is settled at a time, in a random
+        // order, with a new decision after each.
+        let mut requested: BTreeMap<Level, Outcome> = BTreeMap::new();
         let mut draw = order;
         loop {
             let mut outcomes = Outcomes::from_nominal(Outcome::Success);
-            for (&level, &outcome) in &settled {
+            for (&level, &outcome) in &requested {
                 outcomes.record(level, outcome);
             }
             if let Decision::Run(levels) = next(&outcomes, &search) {
                 for level in levels {
-                    prop_assert_eq!(settled.insert(level, Outcome::Missing), None);
+                    prop_assert_eq!(requested.insert(level, Outcome::Missing), None);
                 }
             }
-            let waiting = settled.iter().filter(|(_, outcome)| **outcome == Outcome::Missing);
+            let waiting = requested.iter().filter(|(_, outcome)| **outcome == Outcome::Missing);
             let waiting: Vec<Level> = waiting.map(|(&level, _)| level).collect();
             if waiting.is_empty() {
                 break;
             }
             draw = draw.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
             let level = waiting[(draw >> 33) as usize % waiting.len()];
-            settled.insert(level, outcome(level));
+            requested.insert(level, outcome(level));
         }
-        prop_assert!(together.perturbed().eq(settled.into_iter()));
+        prop_assert!(together.perturbed().eq(requested.into_iter()));
     }
 
     #[test]

@@ -73,10 +73,10 @@ class Observer:
 
     def include(self, name: str, included: bool) -> None:
         """Includes a key in observations or leaves it out. Omitted pictures are not drawn. Raises
-        KeyError."""
+        KeyError for an unknown key."""
         if name not in self.modalities:
             raise KeyError(
-                f"nothing is observed as `{name}`: there are {', '.join(self.modalities)}"
+                f"there is no observation `{name}`; there are {', '.join(self.modalities)}"
             )
         (self._left_out.discard if included else self._left_out.add)(name)
 

@@ -78,6 +78,7 @@ class BDDLBaseDomain:
         self._change = change
         self._handle = SimulationHandle(self.bddl_file_name, change, look)
         self.sim = MjSim(self._handle)
+        # Raises for a camera that the scene lacks.
         for name in self.camera_names:
             self.sim.model.camera_name2id(name)
         arm, mount = (
@@ -97,7 +98,8 @@ class BDDLBaseDomain:
         #: Cameras whose frames are black.
         self.unused_cameras = unused_cameras(self.sim.model.camera_names)
         self._observer = Observer(self._handle, settings.cameras, self.model, self.unused_cameras)
-        #: Control steps since the reset; `done` is True once they reach the horizon.
+        #: Control steps since the reset; `done` is True once they reach the horizon, unless
+        #: `ignore_done` is set.
         self.timestep = 0
         self.done = False
         self._model_loads = 1

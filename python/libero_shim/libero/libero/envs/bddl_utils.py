@@ -51,6 +51,7 @@ def scan_tokens(filename: str | os.PathLike[str] | None = None, string: str | No
 def get_problem_info(problem_filename: str | os.PathLike[str]) -> ProblemInfo:
     """Returns the problem, domain and instruction of a file, all in lower case."""
     sections = _sections(problem_filename)
+    # As in LIBERO, the domain is robosuite's whatever it is called.
     return {
         "problem_name": sections.get("problem", ["unknown"])[-1],
         "domain_name": "robosuite" if ":domain" in sections else "unknown",
@@ -93,8 +94,9 @@ def _sections(filename: str | os.PathLike[str]) -> dict[str, list[Any]]:
     return {section[0]: section[1:] for section in definition[1:]}
 
 
-def _by_category(words: list[str], unnamed: str) -> dict[str, list[str]]:
-    """Converts `a b - bowl c - plate` to bowl: a b, plate: c."""
+def _by_category(words: list[str], default_category: str) -> dict[str, list[str]]:
+    """Converts `a b - bowl c - plate` to bowl: a b, plate: c. Instances that no category follows get
+    the default."""
     categories: dict[str, list[str]] = {}
     instances: list[str] = []
     words_left = iter(words)
@@ -105,7 +107,7 @@ def _by_category(words: list[str], unnamed: str) -> dict[str, list[str]]:
         else:
             instances.append(word)
     if instances:
-        categories.setdefault(unnamed, []).extend(instances)
+        categories.setdefault(default_category, []).extend(instances)
     return categories
 
 
@@ -124,6 +126,7 @@ def _region(expression: list[Any]) -> tuple[str, dict[str, Any]]:
             case [":ranges", ranges]:
                 region["ranges"] = [[float(x) for x in range_] for range_ in ranges]
             case [":yaw_rotation", rotations]:
+                # As in LIBERO, the last rotation counts.
                 region["yaw_rotation"] = [_number(x) for x in rotations[-1]]
             case [":rgba", colour]:
                 region["rgba"] = [float(x) for x in colour]

@@ -21,7 +21,7 @@ const AGE_PER_COST: u32 = 20;
 
 /// Rollouts to be filmed, by campaign.
 #[derive(Debug, Default)]
-pub(crate) struct Films {
+pub(crate) struct UnfilmedRollouts {
     /// Held while a campaign is scanned, so that concurrent callers share the result.
     pub(super) scanning: tokio::sync::Mutex<()>,
     state: Mutex<FilmState>,
@@ -47,7 +47,7 @@ struct Unfilmed {
     cost: Duration,
 }
 
-impl Films {
+impl UnfilmedRollouts {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
     pub(super) fn outdated(
         &self,
@@ -55,8 +55,8 @@ impl Films {
         now: Instant,
     ) -> Vec<FilmedCampaign> {
         let mut state = self.lock();
-        let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
-        state.unfilmed.retain(|id, _| is_filmed(id));
+        let is_listed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
+        state.unfilmed.retain(|id, _| is_listed(id));
         let is_outdated = |campaign: &&FilmedCampaign| match state.unfilmed.get(&campaign.campaign)
         {
             Some(cached) => {
@@ -132,7 +132,7 @@ mod tests {
 
     #[test]
     fn a_campaign_is_scanned_after_new_outcomes_and_rarely_if_scans_are_slow() {
-        let films = Films::default();
+        let films = UnfilmedRollouts::default();
         let now = UnixMillis(0);
         let (began, second) = (Instant::now(), Duration::from_secs(1));
         let outdated = |revision, after: u32| {
