@@ -69,9 +69,12 @@ pub enum PipeError {
          has what it printed"
     )]
     Ended { simulator: String, request: &'static str, status: String },
+    /// The answer is no message of the pipe, so that the next one would not be understood either.
+    #[error("simulator `{simulator}` answered {request} wrongly: {problem}")]
+    Invalid { simulator: String, request: &'static str, problem: String },
     #[error(
-        "simulator `{simulator}` did not answer {request} within {} s and was killed; \
-         `--progress-timeout-secs` of the coordinator allows more",
+        "simulator `{simulator}` did not answer {request} within {} s and was killed: it hangs, or \
+         needs a longer `--progress-timeout-secs` of the coordinator",
         deadline.as_secs_f32()
     )]
     Late { simulator: String, request: &'static str, deadline: Duration },
@@ -306,10 +309,13 @@ impl Pipe {
             let (simulator, status) = (self.simulator.clone(), self.end_status());
             return Err(PipeError::Ended { simulator, request, status });
         }
+        let invalid = |problem: String| {
+            let simulator = self.simulator.clone();
+            PipeError::Invalid { simulator, request, problem }
+        };
         let answer: Result<Map<String, Value>, _> = serde_json::from_slice(&line);
-        let mut answer = answer.map_err(|error| {
-            self.failed(request, format!("its answer is no line of JSON ({error})"))
-        })?;
+        let mut answer =
+            answer.map_err(|error| invalid(format!("the answer is no line of JSON ({error})")))?;
         if let Some(error) = answer.remove("error") {
             let text = |field: &str| error[field].as_str().unwrap_or_default().to_owned();
             let (simulator, problem) = (self.simulator.clone(), text("message"));
@@ -321,7 +327,7 @@ impl Pipe {
         let fields = answer.remove(request).unwrap_or_default();
         serde_json::from_value(fields).map_err(|error| {
             let problem = benchmark::JsonError::from(error);
-            self.failed(request, format!("its answer is not as described ({problem})"))
+            invalid(format!("{problem}; docs/SIMULATORS.md has the fields"))
         })
     }
 

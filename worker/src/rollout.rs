@@ -80,7 +80,9 @@ impl RolloutError {
             Self::Pipe(PipeError::Start { .. } | PipeError::Unusable { .. }) => {
                 FailureKind::Machine
             }
-            Self::Pipe(PipeError::Failed { .. }) => FailureKind::Simulator,
+            Self::Pipe(PipeError::Failed { .. } | PipeError::Invalid { .. }) => {
+                FailureKind::Simulator
+            }
             Self::Pipe(PipeError::Ended { .. }) => FailureKind::SlotCrashed,
             Self::Pipe(PipeError::Late { .. }) => FailureKind::SlotStuck,
             Self::Policy(error) => FailureKind::from(error),

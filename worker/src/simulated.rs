@@ -151,6 +151,11 @@ fn unknown<'a>(
 
 /// Returns the names of the readings that the policy requests, in its order.
 fn readings(pipe: &Pipe, description: &Description) -> Result<Vec<String>, PipeError> {
+    if description.about.privileged {
+        let problem = "the policy requests the state of LIBERO's simulator, which this one does not \
+                       have";
+        return Err(pipe.failed("reset", problem.to_owned()));
+    }
     let fields = description.state.iter().map(|field| {
         let name = field.as_str_name();
         name.strip_prefix("STATE_FIELD_").unwrap_or(name).to_lowercase()

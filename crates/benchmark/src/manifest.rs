@@ -18,6 +18,7 @@ use crate::rollout_id::RolloutId;
 use crate::row::{MAX_ROWS, ManifestRow};
 use crate::simulated::{ShortRow, TaskPlaces};
 use crate::suite::TaskRef;
+use crate::task_key::TaskKey;
 use crate::wording::JsonError;
 
 /// Largest number of errors listed; further errors are only counted.
@@ -185,6 +186,11 @@ pub enum LineProblem {
         protocol_text(expected)
     )]
     Protocol { id: RolloutId, given: Option<String>, expected: Option<String>, first: usize },
+    #[error(
+        "{id}: its number stands for task {given}, but for {expected} in line {first}: rows that \
+         extend a campaign begin with its tasks, in the order in which it has them"
+    )]
+    Task { id: RolloutId, given: String, expected: String, first: usize },
     #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
     #[error("the manifest has no rows")]
@@ -238,6 +244,8 @@ impl std::error::Error for ManifestErrors {}
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
     configurations: BTreeMap<(TaskRef, Level, u16), Configuration>,
+    /// Keys of other simulators' tasks, each with the line it was read from.
+    simulated: BTreeMap<TaskRef, (String, usize)>,
     /// Execution model of the first row outside the latency axis, and the row's line.
     execution: Option<(Execution, usize)>,
     /// Protocol of the first row, and the row's line.
@@ -260,6 +268,14 @@ impl Checker {
         let id = row.id;
         if !id.condition().sets_execution() {
             self.check_execution(line, row);
+        }
+        if row.simulator.is_some() {
+            let of_this_row = (TaskKey::of_row(row), line);
+            let given = of_this_row.0.clone();
+            let (expected, first) = self.simulated.entry(id.task()).or_insert(of_this_row).clone();
+            if given != expected {
+                self.errors.add(line, LineProblem::Task { id, given, expected, first });
+            }
         }
         let (expected, first) = self.protocol.get_or_insert_with(|| (row.protocol.clone(), line));
         if *expected != row.protocol {

@@ -326,6 +326,13 @@ mod tests {
         check(r#", "max_steps": 0"#, "`max_steps` is 0: write 1 to 10000");
         check(r#", "steps": 9"#, "there is no field `steps`");
         check(r#", "axes": ["sensor"], "radius": 2, "perturb": {"sensor": {}}"#, "`noise_sigma`");
+        let [reach, push] = ["reach", "push"].map(|task| {
+            let text = format!(r#"{{"simulator": "metaworld", "task": "{task}", "seed": 0}}"#);
+            manifest::parse(&text).expect("a row").remove(0)
+        });
+        let error = manifest::check(&[reach, ManifestRow { init_id: 1, ..push }]);
+        let error = error.expect_err("two tasks of one number").to_string();
+        assert!(error.contains("metaworld/push, but for simulated/metaworld/reach"), "{error}");
         let unnamed = manifest::parse(r#"{"simulator": "Meta World", "task": "a", "seed": 0}"#);
         let unnamed = unnamed.expect_err("no name").to_string();
         assert!(unnamed.contains("`simulator.name` is `Meta World`"), "{unnamed}");

@@ -324,7 +324,7 @@ impl Row {
         let (id, task) = (self.rollout_id, self.rollout_id.task());
         let agreements = [
             ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
-            ("level", self.level.is_none_or(|level| level == id.level())),
+            ("level", self.level.is_none_or(|level| level.radius() == id.level().radius())),
             ("suite", self.suite.as_deref().is_none_or(|suite| suite == task.suite().name())),
             ("task_id", self.task_id.is_none_or(|index| index == task.index())),
             (

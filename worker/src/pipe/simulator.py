@@ -1,4 +1,4 @@
-"""A simulator that speaks the pipe with Python's own modules, and has the fault that it is given."""
+"""A simulator that speaks the pipe with Python's own modules; its argument names its fault."""
 
 import hashlib
 import json

@@ -94,7 +94,7 @@ fn faults_of_a_rollout_name_request_and_cause() {
     assert!(matches!(error, PipeError::Failed { .. }), "{error:?}");
     reset(&mut pipe, 0).expect("resets");
     let error = start("text").expect_err("no JSON").to_string();
-    assert!(error.contains("failed at describe: its answer is no line of JSON"), "{error}");
+    assert!(error.contains("answered describe wrongly: the answer is no line of JSON"), "{error}");
 }
 
 #[test]
