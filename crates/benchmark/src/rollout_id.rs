@@ -15,7 +15,7 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for ex
                        SUITE/tN/nominal/iNN for initial state NN, or \
                        SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00, or \
                        own/tN/own:SUITE/iNN for a suite file, whose perturbed rollouts are \
-                       own/tN/CONDITION/LEVEL/cNN; those of other simulators begin with sim/";
+                       own/tN/CONDITION/LEVEL/cNN";
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
