@@ -28,7 +28,7 @@ pub(crate) async fn read(view: &mut View, campaign: &Campaign) -> Result<Subject
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     let realisation = campaign.realisation.as_str();
     let (mut progress, mut left_out, mut beyond) = (Vec::new(), 0, BeyondRange::default());
-    let (mut simulated, repeating) = simulated_tasks(view, campaign, &spec).await?;
+    let (mut simulated, repeating) = simulated_tasks(&spec);
     let mut begun: BTreeMap<(u8, u16), Vec<String>> = BTreeMap::new();
     let records = view.records(campaign.id, |row| {
         let record = read_record(&row, realisation)?;
@@ -103,40 +103,21 @@ pub(crate) async fn read(view: &mut View, campaign: &Campaign) -> Result<Subject
     })
 }
 
-/// Returns the tasks of other simulators, of the campaign or of its source, and those of their
-/// rollouts that begin with the same observation if the simulator repeats its resets.
-async fn simulated_tasks(
-    view: &mut View,
-    campaign: &Campaign,
-    spec: &CampaignSpec,
-) -> Result<(BTreeMap<u8, SimulatedTask>, BTreeSet<RolloutId>), ReadError> {
-    let source = match &spec.purpose {
-        Some(_) => view.source(campaign.id).await?,
-        None => None,
-    };
-    let of_source = match &source {
-        Some(source) => {
-            let spec = CampaignSpec::from_json(&view.current_spec(source).await?);
-            Some(spec.map_err(|error| ReadError::Spec {
-                campaign: source.name.clone(),
-                source: error,
-            })?)
-        }
-        None => None,
-    };
+/// Returns the tasks of other simulators, and those of their rollouts that begin with the same
+/// observation if the simulator repeats its resets.
+fn simulated_tasks(spec: &CampaignSpec) -> (BTreeMap<u8, SimulatedTask>, BTreeSet<RolloutId>) {
     let (mut tasks, mut repeating) = (BTreeMap::new(), BTreeSet::new());
-    if let Rollouts::Rows(rows) = &of_source.as_ref().unwrap_or(spec).rollouts {
-        for row in rows {
-            let Some(of) = &row.simulator else { continue };
-            let name = format!("{}/{}", of.name, of.task);
-            let task = SimulatedTask { name, ..SimulatedTask::default() };
-            tasks.insert(row.id.task().index(), task);
-            if of.perturb.is_empty() {
-                repeating.insert(row.id);
-            }
+    let Rollouts::Rows(rows) = &spec.rollouts else { return (tasks, repeating) };
+    for row in rows {
+        let Some(of) = &row.simulator else { continue };
+        let name = format!("{}/{}", of.name, of.task);
+        let task = SimulatedTask { name, ..SimulatedTask::default() };
+        tasks.insert(row.id.task().index(), task);
+        if of.perturb.is_empty() {
+            repeating.insert(row.id);
         }
     }
-    Ok((tasks, repeating))
+    (tasks, repeating)
 }
 
 /// Returns the purpose of a derived campaign and the records of its source; `None` for other

@@ -57,8 +57,6 @@ impl std::str::FromStr for SimulatorCommand {
 /// Reason why a simulator gave no usable answer. The messages are whole sentences.
 #[derive(Debug, thiserror::Error)]
 pub enum PipeError {
-    #[error("simulator `{simulator}` cannot be started: {source}")]
-    Start { simulator: String, source: io::Error },
     /// The simulator cannot be used on this machine, as it is or as it was started.
     #[error("simulator `{simulator}` cannot be used: {problem}")]
     Unusable { simulator: String, problem: String },
@@ -152,7 +150,10 @@ pub struct Pipe {
 impl Pipe {
     /// Starts a simulator and reads its description; waits at most `deadline` for it.
     pub fn start(of: &SimulatorCommand, deadline: Duration) -> Result<Self, PipeError> {
-        let failed = |source| PipeError::Start { simulator: of.name.clone(), source };
+        let failed = |error: io::Error| PipeError::Unusable {
+            simulator: of.name.clone(),
+            problem: format!("it cannot be started ({error})"),
+        };
         let folder = Path::new(SHARED_MEMORY);
         let frames = match folder.is_dir() {
             true => tempfile::NamedTempFile::new_in(folder),

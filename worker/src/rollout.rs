@@ -77,9 +77,7 @@ impl RolloutError {
         let kind = match self {
             Self::Simulator { source, .. } if source.is_machine_fault() => FailureKind::Machine,
             Self::Simulator { .. } => FailureKind::Simulator,
-            Self::Pipe(PipeError::Start { .. } | PipeError::Unusable { .. }) => {
-                FailureKind::Machine
-            }
+            Self::Pipe(PipeError::Unusable { .. }) => FailureKind::Machine,
             Self::Pipe(PipeError::Failed { .. } | PipeError::Invalid { .. }) => {
                 FailureKind::Simulator
             }
@@ -375,10 +373,17 @@ impl Run<'_> {
         Ok(actions)
     }
 
-    /// Returns the robot's path and, if requested, its actions.
+    /// Returns the robot's path and, if requested, its actions; empty for a rollout of more than
+    /// [`proto::MAX_MOTION_STEPS`] steps.
     fn motion(&self) -> Motion {
+        if self.executed.len() > proto::MAX_MOTION_STEPS {
+            return Motion::default();
+        }
         let recorded: &[Action] = if self.assignment.keep_actions { &self.executed } else { &[] };
-        packed_motion(self.executed.len(), &self.path, recorded)
+        // Policies answer with 32-bit floats, so the conversion is exact.
+        let actions: Vec<_> =
+            recorded.iter().map(|action| action.map(|value| value as f32)).collect();
+        Motion::pack(&self.path, &actions)
     }
 
     /// Returns the number of the policy's control steps so far.
@@ -390,16 +395,6 @@ impl Run<'_> {
     fn simulator_failed(&self, source: SimError) -> RolloutError {
         RolloutError::Simulator { title: self.title.clone(), source }
     }
-}
-
-/// Returns a path and actions; empty for a rollout of more than [`proto::MAX_MOTION_STEPS`] steps.
-pub(crate) fn packed_motion(steps: usize, path: &[[i16; 3]], actions: &[Action]) -> Motion {
-    if steps > proto::MAX_MOTION_STEPS {
-        return Motion::default();
-    }
-    // Policies answer with 32-bit floats, so the conversion is exact.
-    let actions: Vec<_> = actions.iter().map(|action| action.map(|value| value as f32)).collect();
-    Motion::pack(path, &actions)
 }
 
 pub(crate) fn continue_unless_abandoned(verdict: ControlFlow<()>) -> Result<(), RolloutError> {

@@ -2,20 +2,20 @@
 //! the instruction is the row's; other axes act in the simulator.
 
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use std::time::{Duration, Instant};
 
 use benchmark::attempt::{
     Digests, GoalProgress, MAX_PROMPT_BYTES, Motion, Parts, Realised, RolloutResult, shortened,
 };
-use benchmark::streams::Randomness;
-use benchmark::{Action, Axis, ManifestRow, Query, Realisation, Schedule, SimulatedTask};
+use benchmark::{Action, Query, Schedule, SimulatedTask};
+use proto::MAX_MOTION_STEPS;
 use proto::policy as wire;
 use proto::resize::resize;
 use serde_json::json;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
-use sim::perturb::{self, ActuationStage, FrameSource, SensorStage};
-use sim::{CameraRequest, Frame};
+use sim::{CameraRequest, Frame, Interference};
 
 use crate::actor::{Actor, Description};
 use crate::message::{Assignment, Finished};
@@ -23,12 +23,10 @@ use crate::observation;
 use crate::pipe::{self, Pipe, PipeError, SimulatorCommand, State};
 use crate::rollout::{
     Drawn, RolloutError, Watcher, check_execution, continue_unless_abandoned, frames_digest,
-    packed_motion, provenance, tenths_of_mm,
+    provenance, tenths_of_mm,
 };
 use crate::stopwatch::add_elapsed_time;
 
-/// Camera whose noise has a stream of its own; all others share that of `agentview`.
-const WRIST_CAMERA: &str = "robot0_eye_in_hand";
 /// Reading of the end-effector's position, m.
 const POSITION: &str = "eef_pos";
 
@@ -44,18 +42,19 @@ impl Simulators {
         Self { commands, running: BTreeMap::new() }
     }
 
-    /// Returns a running simulator, which is taken out, so that one that fails is not used again.
-    fn take(&mut self, name: &str, deadline: Duration) -> Result<Pipe, PipeError> {
-        if let Some(pipe) = self.running.remove(name) {
-            return Ok(pipe);
+    /// Returns a running simulator, which is started if need be.
+    fn open(&mut self, name: &str, deadline: Duration) -> Result<&mut Pipe, PipeError> {
+        match self.running.entry(name.to_owned()) {
+            Entry::Occupied(running) => Ok(running.into_mut()),
+            Entry::Vacant(vacant) => {
+                let command = self.commands.iter().find(|command| command.name == name);
+                let command = command.ok_or_else(|| PipeError::Unusable {
+                    simulator: name.to_owned(),
+                    problem: "start the worker with `--simulator NAME=COMMAND`".to_owned(),
+                })?;
+                Ok(vacant.insert(Pipe::start(command, deadline)?))
+            }
         }
-        let command = self.commands.iter().find(|command| command.name == name);
-        let command = command.ok_or_else(|| PipeError::Unusable {
-            simulator: name.to_owned(),
-            problem: "this worker does not serve it: start it with `--simulator NAME=COMMAND`"
-                .to_owned(),
-        })?;
-        Pipe::start(command, deadline)
     }
 }
 
@@ -69,73 +68,55 @@ pub(crate) fn run(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Finished, RolloutError> {
-    let description = actor.describe(assignment.policy_session())?;
-    check_execution(assignment, &description)?;
-    let mut pipe = simulators.take(&simulated.name, assignment.simulator_deadline)?;
-    let finished = run_in(&mut pipe, simulated, drawn, &description, actor, assignment, watcher);
-    let has_answered = match &finished {
-        Err(RolloutError::Pipe(error)) => matches!(error, PipeError::Failed { .. }),
-        _ => true,
+    let description = &actor.describe(assignment.policy_session())?;
+    check_execution(assignment, description)?;
+    let pipe = simulators.open(&simulated.name, assignment.simulator_deadline)?;
+    let Some(task) = pipe.about.tasks.iter().find(|task| task.name == simulated.task).cloned()
+    else {
+        let known = pipe.about.tasks.iter().map(|task| &task.name);
+        return Err(unknown(pipe, "task", &simulated.task, known).into());
     };
-    if has_answered {
-        simulators.running.insert(simulated.name.clone(), pipe);
-    }
-    finished
-}
-
-fn run_in(
-    pipe: &mut Pipe,
-    simulated: &SimulatedTask,
-    drawn: Drawn,
-    description: &Description,
-    actor: &mut dyn Actor,
-    assignment: &Assignment,
-    watcher: &mut dyn Watcher,
-) -> Result<Finished, RolloutError> {
-    let task = task(pipe, simulated)?;
     let readings = readings(pipe, description)?;
-    let row = &assignment.row;
-    let scene = json!([simulated.name, simulated.task, pipe.about.packages]);
-    let about = &pipe.about;
-    let origin = json!([about.packages, about.driver, about.reused]);
-    let mut packages = about.packages.clone();
+    let mut packages = pipe.about.packages.clone();
+    let scene = digest(&json!([simulated.name, simulated.task, packages]));
+    let origin = json!([packages, pipe.about.driver, pipe.about.reused]);
     packages.insert("simulator".to_owned(), simulated.name.clone());
-    packages.insert("driver".to_owned(), about.driver.clone());
+    packages.insert("driver".to_owned(), pipe.about.driver.clone());
+    let mut realised = Realised::default();
     let mut run = Run {
+        interference: Interference::new(&assignment.row, assignment.realisation, &mut realised),
         readings,
-        stages: Stages::new(row, assignment.realisation),
         state: State::new(),
         pipe,
         description,
         actor,
         assignment,
         watcher,
-        commands: Vec::new(),
+        steps: 0,
         path: Vec::new(),
         clipped_actions: 0,
         queries: 0,
         parts: Parts::default(),
         first_frame: String::new(),
     };
-    let (result, motion) = run.simulate(&task, simulated, digest(&scene))?;
-    let drawn = Drawn { fingerprint: digest(&origin), ..drawn };
-    let mut provenance = provenance(assignment, description, drawn);
+    let result = run.simulate(&task, simulated, scene);
+    let path = std::mem::take(&mut run.path);
+    if let Err(RolloutError::Pipe(error)) = &result
+        && !matches!(error, PipeError::Failed { .. })
+    {
+        simulators.running.remove(&simulated.name);
+    }
+    let result = RolloutResult { realised, ..result? };
+    let is_sent = path.len() <= MAX_MOTION_STEPS + 1;
+    let motion = if is_sent { Motion::pack(&path, &[]) } else { Motion::default() };
+    let mut provenance =
+        provenance(assignment, description, Drawn { fingerprint: digest(&origin), ..drawn });
     provenance.simulator = packages;
     Ok(Finished { result, provenance, motion, is_filmed_next: false })
 }
 
 fn digest(of: &serde_json::Value) -> String {
     hex::encode(Sha256::digest(of.to_string()))
-}
-
-fn task(pipe: &Pipe, simulated: &SimulatedTask) -> Result<pipe::Task, PipeError> {
-    let axes = &pipe.about.axes;
-    if let Some(axis) = simulated.perturb.keys().find(|axis| !axes.contains(axis.name())) {
-        return Err(unknown(pipe, "axis", axis.name(), axes.iter()));
-    }
-    let tasks = &pipe.about.tasks;
-    let task = tasks.iter().find(|task| task.name == simulated.task).cloned();
-    task.ok_or_else(|| unknown(pipe, "task", &simulated.task, tasks.iter().map(|task| &task.name)))
 }
 
 fn unknown<'a>(
@@ -168,62 +149,19 @@ fn readings(pipe: &Pipe, description: &Description) -> Result<Vec<String>, PipeE
     }
 }
 
-/// Perturbations that act in the worker.
-struct Stages {
-    sensor: Option<SensorStage>,
-    actuation: Option<ActuationStage>,
-    realised: Realised,
-}
-
-impl Stages {
-    fn new(row: &ManifestRow, realisation: Realisation) -> Self {
-        let randomness = |axis| Randomness::of(&row.id, axis, realisation);
-        let mut realised = Realised::default();
-        let mut realise = |axis, elements| {
-            realised.add(axis, row.perturbation.values(axis), elements);
-        };
-        let sensor = row.perturbation.sensor.map(|corruption| {
-            let stage = SensorStage::new(&corruption, &randomness(Axis::Sensor));
-            realise(Axis::Sensor, stage.realised());
-            stage
-        });
-        let actuation = row.perturbation.actuation.map(|distortion| {
-            let rms = row.id.task().suite().demo_action_rms();
-            let stage = ActuationStage::new(&distortion, rms, &randomness(Axis::Actuation));
-            realise(Axis::Actuation, stage.realised());
-            stage
-        });
-        Self { sensor, actuation, realised }
-    }
-
-    fn corrupt(&mut self, frame: &mut Frame, step: u32) {
-        if let Some(stage) = &mut self.sensor {
-            stage.apply(&mut perturb::Frame {
-                source: match &*frame.camera {
-                    WRIST_CAMERA => FrameSource::Wrist,
-                    _ => FrameSource::Agentview,
-                },
-                step,
-                width: frame.width as usize,
-                height: frame.height as usize,
-                rgb: &mut frame.rgb,
-            });
-        }
-    }
-}
-
 struct Run<'a> {
     pipe: &'a mut Pipe,
     description: &'a Description,
     actor: &'a mut dyn Actor,
     assignment: &'a Assignment,
     watcher: &'a mut dyn Watcher,
-    stages: Stages,
+    interference: Interference,
     /// Names of the readings that the policy gets.
     readings: Vec<String>,
     /// Readings after the last control step.
     state: State,
-    commands: Vec<Action>,
+    /// Control steps so far.
+    steps: u32,
     /// End-effector positions, tenths of a millimetre; empty if the simulator has no such reading.
     path: Vec<[i16; 3]>,
     clipped_actions: u32,
@@ -239,7 +177,7 @@ impl Run<'_> {
         task: &pipe::Task,
         simulated: &SimulatedTask,
         scene: String,
-    ) -> Result<(RolloutResult, Motion), RolloutError> {
+    ) -> Result<RolloutResult, RolloutError> {
         let started = Instant::now();
         let Assignment { row, simulator_deadline: deadline, .. } = self.assignment;
         let is_canonical_only = self.description.about.language() == wire::Language::CanonicalOnly;
@@ -265,9 +203,9 @@ impl Run<'_> {
         let mut goal = GoalProgress::default();
         goal.record(&[success]);
         let prompt = shortened(instruction, MAX_PROMPT_BYTES);
-        let result = RolloutResult {
+        Ok(RolloutResult {
             success,
-            steps: self.steps(),
+            steps: self.steps,
             wall_secs: started.elapsed().as_secs_f64(),
             ik: None,
             clipped_actions: self.clipped_actions,
@@ -280,10 +218,8 @@ impl Run<'_> {
                 init_state: reset.digest,
                 first_frame: std::mem::take(&mut self.first_frame),
             },
-            realised: self.stages.realised.clone(),
-        };
-        let recorded = if self.assignment.keep_actions { &*self.commands } else { &[] };
-        Ok((result, packed_motion(self.commands.len(), &self.path, recorded)))
+            realised: Realised::default(),
+        })
     }
 
     /// Returns the frames to draw: in the size that the policy requests if the simulator draws any.
@@ -309,7 +245,7 @@ impl Run<'_> {
         let row = &self.assignment.row;
         let (execution, execute) = (row.execution.clone(), self.description.execute);
         let mut schedule = Schedule::new(execution, execute, row.id.task(), row.init_id);
-        while self.steps() < budget {
+        while self.steps < budget {
             if let Some(query) = schedule.due() {
                 schedule.answer(self.query(&query)?);
             }
@@ -327,17 +263,14 @@ impl Run<'_> {
     }
 
     fn step(&mut self, command: Action, draws: bool) -> Result<pipe::Step, RolloutError> {
-        let action = match &mut self.stages.actuation {
-            Some(stage) => stage.apply(&command),
-            None => command,
-        };
+        let action = self.interference.distort(&command);
         let deadline = self.assignment.simulator_deadline;
         let mut step = add_elapsed_time(&mut self.parts.physics_secs, || {
             self.pipe.step(&action, draws, deadline)
         })?;
-        self.commands.push(command);
+        self.steps += 1;
         self.moved(std::mem::take(&mut step.state));
-        continue_unless_abandoned(self.watcher.progress(self.steps()))?;
+        continue_unless_abandoned(self.watcher.progress(self.steps))?;
         Ok(step)
     }
 
@@ -388,14 +321,8 @@ impl Run<'_> {
                 );
                 [frame.width, frame.height] = to;
             }
-            let step = self.commands.len() as u32;
-            self.stages.corrupt(frame, step);
+            self.interference.corrupt(frame, self.steps);
         }
         Ok(frames)
-    }
-
-    fn steps(&self) -> u32 {
-        // Bounded by the step budget, a u32.
-        self.commands.len() as u32
     }
 }

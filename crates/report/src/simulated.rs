@@ -53,26 +53,12 @@ pub(crate) fn paired_by_seed_only(subject: &Subject) -> Option<String> {
     })
 }
 
-/// Success by benchmark and task, a row per level; empty for a subject in LIBERO.
+/// Success by benchmark and task, a row per level, L0 with the nominal rollouts; empty for a subject
+/// in LIBERO.
 pub(crate) fn by_task(analysis: &Analysis) -> Table {
     let mut rows: BTreeMap<(TaskRef, Level), BTreeMap<Condition, Count>> = BTreeMap::new();
-    let measured =
-        || analysis.report.by_task.iter().filter(|of| of.task.suite() == Suite::Simulated);
-    let perturbed = |of: &&paired::TaskSuccess| of.condition != Condition::Nominal;
-    let levels: BTreeSet<(TaskRef, Level)> =
-        measured().filter(perturbed).map(|of| (of.task, of.level)).collect();
-    for of in measured() {
-        // The nominal rollouts are beside those of every level.
-        let beside = levels.iter().filter(|(task, level)| {
-            *task == of.task && (of.condition == Condition::Nominal || *level == of.level)
-        });
-        let mut beside: Vec<(TaskRef, Level)> = beside.copied().collect();
-        if beside.is_empty() {
-            beside.push((of.task, of.level));
-        }
-        for row in beside {
-            rows.entry(row).or_default().insert(of.condition, of.count);
-        }
+    for of in analysis.report.by_task.iter().filter(|of| of.task.suite() == Suite::Simulated) {
+        rows.entry((of.task, of.level)).or_default().insert(of.condition, of.count);
     }
     let conditions: BTreeSet<Condition> = rows.values().flat_map(|of| of.keys().copied()).collect();
     let name = format!("{}: success by benchmark and task, %", analysis.label);
