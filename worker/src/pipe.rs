@@ -11,6 +11,7 @@ use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use benchmark::attempt::{MAX_PACKAGES, MAX_TEXT_BYTES};
 use benchmark::{ACTION_WIDTH, Action, Parameters, UnknownName, VariantName};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -189,7 +190,7 @@ impl Pipe {
         let unusable = |problem: String| {
             Err(PipeError::Unusable { simulator: self.simulator.clone(), problem })
         };
-        let Description { protocol, tasks, action, .. } = &self.about;
+        let Description { protocol, tasks, action, packages, driver, .. } = &self.about;
         if *protocol != PROTOCOL {
             return unusable(format!(
                 "it speaks version {protocol} of the pipe, this worker version {PROTOCOL}: install \
@@ -198,6 +199,14 @@ impl Pipe {
         }
         if tasks.is_empty() {
             return unusable("it describes no task: name some with --tasks".to_owned());
+        }
+        let mut texts = packages.iter().flat_map(|(name, value)| [name, value]).chain([driver]);
+        if packages.len() > MAX_PACKAGES || texts.any(|text| text.len() > MAX_TEXT_BYTES) {
+            return unusable(format!(
+                "it names {} packages and its driver; results hold {MAX_PACKAGES} packages and \
+                 texts of {MAX_TEXT_BYTES} bytes",
+                packages.len()
+            ));
         }
         let is_repeated = |at: usize| action[..at].contains(&action[at]);
         let is_invalid = |at: &usize| !DIMENSIONS.contains(&&*action[*at]) || is_repeated(*at);

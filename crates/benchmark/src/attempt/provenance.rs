@@ -33,8 +33,8 @@ pub const MAX_TEXT_BYTES: usize = 512;
 /// adds: `execute`, `horizon`, and two about the execution model.
 pub const MAX_SETTINGS: usize = 68;
 
-/// Most entries of a provenance about another simulator: packages, and two more.
-const MAX_PACKAGES: usize = 514;
+/// Most packages of another simulator.
+pub const MAX_PACKAGES: usize = 512;
 
 /// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
@@ -184,11 +184,10 @@ impl Provenance {
                 "`policy_settings` has {settings} entries; it may have at most {MAX_SETTINGS}"
             ));
         }
-        let packages = self.simulator.len();
-        if packages > MAX_PACKAGES {
-            return Some(format!(
-                "`simulator` has {packages} entries; it may have at most {MAX_PACKAGES}"
-            ));
+        // The simulator's name and its driver are beside the packages.
+        let (entries, most) = (self.simulator.len(), MAX_PACKAGES + 2);
+        if entries > most {
+            return Some(format!("`simulator` has {entries} entries; it may have at most {most}"));
         }
         if let Err(error) = self.realisation.parse::<Realisation>() {
             return Some(format!("`realisation`: {error}"));

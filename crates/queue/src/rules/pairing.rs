@@ -388,4 +388,18 @@ mod tests {
         assert_eq!(with_other_origin(|provenance| provenance.fingerprint = hex('e')), None);
         assert!(with_other_origin(|_| ()).is_some());
     }
+
+    #[test]
+    fn siblings_in_another_simulator_share_its_packages_but_not_always_their_state() {
+        let rows = benchmark::manifest::parse(r#"{"simulator": "s", "task": "t", "seed": 0}"#);
+        let row = &rows.expect("a valid row").remove(0);
+        let demand = Demand { realisation: Realisation::Matched, row };
+        let siblings = [sibling("sim/t0/nominal/i00", &[], "")];
+        let mut result = siblings[0].clone();
+        result.digests.init_state = hex('3');
+        assert_eq!(difference(&demand, &siblings, &result), None);
+        result.digests.scene = hex('3');
+        let text = difference(&demand, &siblings, &result).expect("other packages");
+        assert!(text.contains("install the same packages on all machines"), "{text}");
+    }
 }
