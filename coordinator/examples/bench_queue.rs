@@ -148,7 +148,7 @@ async fn run_slot(
             worker: worker.clone(),
             claim: format!("{:016x}{:016x}", rng.next_u64(), slot),
             warm_task: warm_task.clone(),
-            lacking_tasks: Default::default(),
+            means: Default::default(),
         };
         let began = Instant::now();
         let claimed = queue.claim(&request, CLAIM_WAIT).await?;

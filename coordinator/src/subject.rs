@@ -2,6 +2,8 @@
 //! a report, which the `report` crate computes. The same results give the same subject, however
 //! many attempts they took.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use benchmark::attempt::Digests;
 use benchmark::{
     CampaignSpec, Directions, Execution, Level, ManifestRow, Purpose, RolloutId, Rollouts,
@@ -10,7 +12,8 @@ use benchmark::{
 use paired::{Outcome, Progress, Record};
 use queue::read::{Campaign, RecordRow, SetupRow, View};
 use report::{
-    BeyondRange, Derived, EarlyStop, Origin, Quarantined, Setups, Subject, counted, rollout_name,
+    BeyondRange, Derived, EarlyStop, Origin, Quarantined, Setups, SimulatedTask, Subject, counted,
+    rollout_name,
 };
 use sha2::{Digest, Sha256};
 
@@ -25,9 +28,17 @@ pub(crate) async fn read(view: &mut View, campaign: &Campaign) -> Result<Subject
         .map_err(|source| ReadError::Spec { campaign: campaign.name.clone(), source })?;
     let realisation = campaign.realisation.as_str();
     let (mut progress, mut left_out, mut beyond) = (Vec::new(), 0, BeyondRange::default());
+    let (mut simulated, repeating) = simulated_tasks(&spec);
+    let mut begun: BTreeMap<(u8, u16), Vec<String>> = BTreeMap::new();
     let records = view.records(campaign.id, |row| {
         let record = read_record(&row, realisation)?;
         left_out += u64::from(is_of_other_mode(&row, realisation));
+        if let Some(result) = &row.outcome
+            && repeating.contains(&record.id)
+        {
+            let of_seed = begun.entry((record.id.task().index(), record.init_id)).or_default();
+            of_seed.push(result.digests.init_state.clone());
+        }
         if let Some(result) = row.outcome {
             beyond.actions += u64::from(result.clipped_actions);
             beyond.of_actions += u64::from(result.steps);
@@ -41,6 +52,11 @@ pub(crate) async fn read(view: &mut View, campaign: &Campaign) -> Result<Subject
         Ok::<_, UnknownName>(record)
     });
     let records = records.await?.into_iter().collect::<Result<Vec<Record>, _>>()?;
+    for ((task, _), digests) in begun.into_iter().filter(|(_, digests)| digests.len() > 1) {
+        let task = simulated.entry(task).or_default();
+        task.seeds += 1;
+        task.unrepeated += u64::from(digests.iter().any(|digest| *digest != digests[0]));
+    }
     let design = match &spec.rollouts {
         Rollouts::Design(design) => Some(design),
         _ => None,
@@ -83,7 +99,25 @@ pub(crate) async fn read(view: &mut View, campaign: &Campaign) -> Result<Subject
         protocol: spec.rollouts.protocol().map(str::to_owned),
         derived: derived(view, campaign, spec.purpose).await?,
         early_stop: early_stop(view, campaign).await?,
+        simulated,
     })
+}
+
+/// Returns the tasks of other simulators, and those of their rollouts that begin with the same
+/// observation if the simulator repeats its resets.
+fn simulated_tasks(spec: &CampaignSpec) -> (BTreeMap<u8, SimulatedTask>, BTreeSet<RolloutId>) {
+    let (mut tasks, mut repeating) = (BTreeMap::new(), BTreeSet::new());
+    let Rollouts::Rows(rows) = &spec.rollouts else { return (tasks, repeating) };
+    for row in rows {
+        let Some(of) = &row.simulator else { continue };
+        let name = format!("{}/{}", of.name, of.task);
+        let task = SimulatedTask { name, ..SimulatedTask::default() };
+        tasks.insert(row.id.task().index(), task);
+        if of.perturb.is_empty() {
+            repeating.insert(row.id);
+        }
+    }
+    (tasks, repeating)
 }
 
 /// Returns the purpose of a derived campaign and the records of its source; `None` for other
@@ -128,7 +162,11 @@ pub(crate) async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setup
             Some(name) if name.benchmark().is_none() => row.id,
             _ => RolloutId::nominal(row.id.task(), row.init_id),
         };
-        if let Some(Digests { scene, init_state, .. }) = digests {
+        if let Some(Digests { scene, mut init_state, .. }) = digests {
+            // Another simulator need not repeat an initial state, which the report says.
+            if row.simulator.is_some() {
+                init_state.clear();
+            }
             setups.scenes.insert(state, digest(&[&scene, &init_state]));
         }
         // Left out: the place of the initial state in the design (`init_slot`); the paraphrase's name

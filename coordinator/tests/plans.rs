@@ -133,7 +133,7 @@ fn claim(number: u32, warm_task: Option<&str>) -> ClaimRequest {
         worker: WorkerId("a".to_owned()),
         claim: format!("{number:032x}"),
         warm_task: warm_task.map(str::to_owned),
-        lacking_tasks: Default::default(),
+        means: Default::default(),
     }
 }
 

@@ -24,6 +24,10 @@ const _: () = assert!(
 /// fidelity tests rely on these two in this order.
 pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 
+/// Largest number of readings that a policy may request by name, and their longest name, bytes.
+const MAX_READINGS: usize = 16;
+const MAX_READING_BYTES: usize = 64;
+
 /// Longest quoted part of a name in a description, characters.
 const QUOTED_CHARS: usize = 64;
 
@@ -94,6 +98,13 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
         }
         if described.state[..index].contains(&field) {
             return Err(DescriptionFault::RepeatedStateField { field });
+        }
+    }
+    for (index, name) in described.readings.iter().enumerate() {
+        let is_new = !described.readings[..index].contains(name);
+        if index >= MAX_READINGS || !(1..=MAX_READING_BYTES).contains(&name.len()) || !is_new {
+            let name = name.chars().take(QUOTED_CHARS).collect();
+            return Err(DescriptionFault::Reading { name });
         }
     }
     let count = described.cameras.len();
@@ -173,6 +184,11 @@ pub enum DescriptionFault {
     StateField { field: i32 },
     #[error("it requests robot reading {field} twice")]
     RepeatedStateField { field: i32 },
+    #[error(
+        "it requests reading {name:?} by name; at most {MAX_READINGS} different names of 1 to \
+         {MAX_READING_BYTES} bytes are read"
+    )]
+    Reading { name: String },
     #[error("it requests {count} frames per query, but at most {MAX_CAMERAS} are rendered")]
     Cameras { count: usize },
     #[error("it requests frames of {width}×{height} pixels from camera {camera:?} twice")]
@@ -311,6 +327,10 @@ mod tests {
         check(
             &|description| description.state = vec![field, StateField::GripperPos.into(), field],
             DescriptionFault::RepeatedStateField { field },
+        );
+        check(
+            &|description| description.readings = vec!["all".to_owned(); 2],
+            DescriptionFault::Reading { name: "all".to_owned() },
         );
         let (long, bytes) = (|| "x".repeat(513), 513);
         check(

@@ -8,6 +8,7 @@
 
 /// `rollout.policy.v1`.
 pub mod checks;
+pub mod resize;
 pub mod policy {
     include!("../generated/rollout.policy.v1.in");
 }

@@ -38,6 +38,12 @@ pub enum PolicyError {
     },
     #[error("{} at {endpoint} cannot be used: {fault}", label(policy))]
     Description { policy: String, endpoint: String, fault: DescriptionFault },
+    #[error(
+        "{} cannot be run in LIBERO: it asks for reading `{reading}` by name, which only other \
+         simulators have (docs/SIMULATORS.md)",
+        label(policy)
+    )]
+    Reading { policy: String, reading: String },
     #[error("{} cannot be run this way: {problem}", label(policy))]
     TooLate {
         policy: String,

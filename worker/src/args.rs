@@ -14,6 +14,7 @@ use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
 
+use crate::pipe::SimulatorCommand;
 use crate::variants::Choice;
 
 /// Longest name of a machine, bytes.
@@ -136,6 +137,11 @@ pub struct ServeArguments {
     /// of one name are on one machine [default: from the kernel's boot id]
     #[arg(long, value_name = "NAME", hide_short_help = true, value_parser = machine_name)]
     pub machine: Option<String>,
+    /// Serves another simulator too, by the name that manifest rows give it: COMMAND starts one
+    /// beside each slot that needs it, such as
+    /// metaworld='bin/rollout-env serve gym:Meta-World/MT1'; repeatable (docs/SIMULATORS.md)
+    #[arg(long, value_name = "NAME=COMMAND", hide_short_help = true)]
+    pub simulator: Vec<SimulatorCommand>,
     /// Starts this program as a slot in place of `worker slot`, with the same
     /// arguments: a wrapper (numactl, a debugger), or a simulated slot
     #[arg(long, value_name = "FILE", hide = true)]
@@ -187,12 +193,15 @@ pub struct FilmArguments {
 /// Arguments of a slot's process.
 #[derive(Clone, Debug, Args)]
 pub struct SlotArguments {
+    /// Other simulators.
+    #[arg(long)]
+    pub simulator: Vec<SimulatorCommand>,
     /// Credentials for policies.
     #[command(flatten)]
     pub access: ClientArguments,
     /// Simulator, assets and renderer.
     #[command(flatten)]
-    pub simulator: SimulatorArguments,
+    pub scenes: SimulatorArguments,
 }
 
 /// Simulator, assets, renderer and look.

@@ -29,11 +29,12 @@ use worker::assets::Provider;
 use worker::child::SlotProgram;
 use worker::ids::{WorkerId, host_name, machine, random_number};
 use worker::message::{Assignment, Finished, VideoOf, VideoRequest};
+use worker::pipe::SimulatorCommand;
 use worker::policy::{PolicyClient, ROLLOUT_SETTINGS};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
-use worker::supervise::{self, Config, Identity};
-use worker::{assets, film, preview, rescue, single, slot, slots, variants};
+use worker::supervise::{self, Config, Identity, START_DEADLINE};
+use worker::{assets, film, pipe, preview, rescue, single, slot, slots, variants};
 
 /// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
 /// are enough; with LIBERO's assets each scene takes some hundred MB unless mapped from a file.
@@ -110,7 +111,8 @@ fn open_simulator(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorCon
 
 fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
     let access = arguments.access.access(&[Role::Worker])?;
-    Ok(slot::run(open_simulator(&arguments.simulator)?, &access)?)
+    let simulator = open_simulator(&arguments.scenes)?;
+    Ok(slot::run(simulator, arguments.simulator.clone(), &access)?)
 }
 
 fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
@@ -420,6 +422,7 @@ fn run_worker(
             slots
         }
     };
+    let simulators = pipe::usable(arguments.simulator, START_DEADLINE);
     let host = host_name();
     let seed = random_number();
     let identity = Identity {
@@ -447,9 +450,10 @@ fn run_worker(
         access,
         identity,
         slots: slots.get(),
-        slot_program: slot_program(program, &simulator_arguments, client, &simulator),
+        slot_program: slot_program(program, &simulator_arguments, client, &simulator, &simulators),
         provider: Some(Provider::new(&simulator.pack, &simulator.sources)),
         lacking_tasks,
+        simulators: simulators.iter().map(|simulator| simulator.name.clone()).collect(),
         policy_endpoint: arguments.policy_endpoint,
         drain: arguments.drain_secs.map(Duration::from_secs_f64),
         idle: arguments.idle_secs.map(Duration::from_secs_f64),
@@ -498,6 +502,7 @@ fn slot_program(
     arguments: &SimulatorArguments,
     access: &ClientArguments,
     simulator: &SimulatorConfig,
+    simulators: &[SimulatorCommand],
 ) -> SlotProgram {
     let mut slot = SlotProgram {
         program,
@@ -517,6 +522,9 @@ fn slot_program(
     };
     if let Some(scenes) = &arguments.scenes {
         slot.arguments.extend(["--scenes".into(), scenes.clone()]);
+    }
+    for SimulatorCommand { name, command } in simulators {
+        slot.arguments.extend(["--simulator".into(), format!("{name}={command}").into()]);
     }
     // Credentials are passed as files only: a token in an argument would show in process lists.
     for (flag, file) in [("--token-file", &access.token_file), ("--ca", &access.ca)] {

@@ -17,6 +17,7 @@ use serde::{Deserialize, Serialize};
 use crate::actor::{PolicyError, PolicySession};
 use crate::ids::random_id;
 use crate::policy::POLICY_CALL_DEADLINE;
+use crate::supervise::START_DEADLINE;
 
 /// Longest line that either side reads, bytes. A manifest row takes about 1,000 bytes, the longest
 /// motion about 700,000.
@@ -67,6 +68,8 @@ pub struct Assignment {
     pub policy_seed: u64,
     /// Longest time that the policy may take for one answer.
     pub policy_deadline: Duration,
+    /// Longest time that another simulator may take for one answer.
+    pub simulator_deadline: Duration,
     /// Name of the episode at the policy.
     pub session: Session,
     /// Requested video; `None` if no video is requested.
@@ -103,6 +106,7 @@ impl Assignment {
             policy: String::new(),
             policy_endpoint: String::new(),
             policy_deadline: POLICY_CALL_DEADLINE,
+            simulator_deadline: START_DEADLINE,
             video: None,
             keep_actions: false,
         }
@@ -284,6 +288,7 @@ mod tests {
             policy_endpoint: "grpc://localhost:7000".to_owned(),
             policy_seed: 5,
             policy_deadline: Duration::from_secs(60),
+            simulator_deadline: Duration::from_secs(60),
             video: Some(VideoRequest { file: "videos/1.mp4".into(), of: VideoOf::Failures }),
             keep_actions: true,
         }));

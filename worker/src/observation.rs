@@ -16,13 +16,14 @@ pub(crate) fn to_wire(observation: Observation, state: &[StateField]) -> wire::O
             .map(|&field| wire::StateReading {
                 field: field as i32,
                 values: reading(&robot, field),
+                ..wire::StateReading::default()
             })
             .collect(),
         privileged: observation.privileged.map(privileged),
     }
 }
 
-fn image(frame: Frame) -> wire::Image {
+pub(crate) fn image(frame: Frame) -> wire::Image {
     wire::Image {
         camera: frame.camera,
         width: frame.width,

@@ -13,16 +13,17 @@ use benchmark::attempt::{
     Digests, EXECUTION, GoalProgress, IkResidual, MAX_PROMPT_BYTES, Motion, Parts, Pin, Provenance,
     RolloutResult, shortened,
 };
-use benchmark::{Execution, Query, Schedule};
+use benchmark::{Execution, Look, Query, Schedule};
 use proto::policy as wire;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
-use sim::{CameraRequest, Episode, Observation, ObservationRequest, SimError};
+use sim::{CameraRequest, Episode, Frame, Observation, ObservationRequest, SimError};
 use transport::chain;
 
 use crate::actor::{Action, Actor, Description, PolicyError};
 use crate::message::{Assignment, Failure, FailureKind, Finished};
 use crate::observation;
+use crate::pipe::PipeError;
 use crate::stage::Stage;
 use crate::stopwatch::{add_elapsed_time, add_processor_time};
 
@@ -63,6 +64,8 @@ pub enum RolloutError {
     #[error("simulate {title}")]
     Simulator { title: String, source: SimError },
     #[error("finish the rollout: {0}")]
+    Pipe(#[from] PipeError),
+    #[error("finish the rollout: {0}")]
     Policy(#[from] PolicyError),
     #[error("finish the rollout: it was abandoned")]
     Abandoned,
@@ -74,11 +77,18 @@ impl RolloutError {
         let kind = match self {
             Self::Simulator { source, .. } if source.is_machine_fault() => FailureKind::Machine,
             Self::Simulator { .. } => FailureKind::Simulator,
+            Self::Pipe(PipeError::Unusable { .. }) => FailureKind::Machine,
+            Self::Pipe(PipeError::Failed { .. } | PipeError::Invalid { .. }) => {
+                FailureKind::Simulator
+            }
+            Self::Pipe(PipeError::Ended { .. }) => FailureKind::SlotCrashed,
+            Self::Pipe(PipeError::Late { .. }) => FailureKind::SlotStuck,
             Self::Policy(error) => FailureKind::from(error),
             Self::Abandoned => return None,
         };
         let error = match self {
             Self::Policy(error) => chain(error),
+            Self::Pipe(error) => error.to_string(),
             error => format!("failed to {}", chain(error)),
         };
         Some(Failure { kind, error })
@@ -137,15 +147,10 @@ pub(crate) fn run_resumed(
     // The policy is described before every rollout: the results of a policy that replaced another
     // must not carry its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
-    let row = &assignment.row;
-    // An execution model that drops all answers of the policy is a mistake in the campaign. On the
-    // latency axis it is an outcome: the policy cannot cope with that delay, and its arm holds
-    // still.
-    if !row.id.condition().sets_execution() {
-        row.execution.check(description.horizon).map_err(|problem| PolicyError::TooLate {
-            policy: assignment.policy.clone(),
-            problem,
-        })?;
+    check_execution(assignment, &description)?;
+    if let Some(reading) = description.about.readings.first() {
+        let (policy, reading) = (assignment.policy.clone(), reading.clone());
+        return Err(PolicyError::Reading { policy, reading }.into());
     }
     let mut run = Run {
         assignment,
@@ -169,22 +174,7 @@ pub(crate) fn run_resumed(
         .map_err(|source| run.simulator_failed(source))?;
     let look = stage.look();
     let result = run.simulate(stage)?;
-    let provenance = Provenance {
-        pin: Pin { renderer, look, ..Pin::default() },
-        fingerprint,
-        realisation: assignment.realisation.to_string(),
-        policy_name: description.about.name.clone(),
-        policy_checkpoint: description.about.checkpoint.clone(),
-        policy_checkpoint_digest: description.about.checkpoint_digest.clone(),
-        policy_privileged: description.about.privileged,
-        policy_canonical_only: description.about.language() == wire::Language::CanonicalOnly,
-        policy_settings: settings(&description, &row.execution),
-        batch_mode: match description.about.batch_mode.as_str() {
-            "" => UNBATCHED.to_owned(),
-            mode => mode.to_owned(),
-        },
-        ..Provenance::default()
-    };
+    let provenance = provenance(assignment, &description, Drawn { renderer, fingerprint, look });
     let finished = Finished {
         is_filmed_next: assignment.video_of(result.success).is_some(),
         result,
@@ -192,6 +182,54 @@ pub(crate) fn run_resumed(
         motion: run.motion(),
     };
     Ok(Simulated { finished, actions: run.executed })
+}
+
+/// Rejects an execution model that drops all answers of the policy, which is a mistake in the
+/// campaign. On the latency axis it is an outcome: the policy cannot cope with that delay, and its
+/// arm holds still.
+pub(crate) fn check_execution(
+    assignment: &Assignment,
+    description: &Description,
+) -> Result<(), PolicyError> {
+    let Assignment { row, policy, .. } = assignment;
+    if row.id.condition().sets_execution() {
+        return Ok(());
+    }
+    let checked = row.execution.check(description.horizon);
+    checked.map_err(|problem| PolicyError::TooLate { policy: policy.clone(), problem })
+}
+
+/// Part of a provenance that a simulator knows.
+#[derive(Default)]
+pub(crate) struct Drawn {
+    pub(crate) renderer: String,
+    pub(crate) fingerprint: String,
+    pub(crate) look: Look,
+}
+
+pub(crate) fn provenance(
+    assignment: &Assignment,
+    description: &Description,
+    drawn: Drawn,
+) -> Provenance {
+    let Drawn { renderer, fingerprint, look } = drawn;
+    let about = &description.about;
+    Provenance {
+        pin: Pin { renderer, look, ..Pin::default() },
+        fingerprint,
+        realisation: assignment.realisation.to_string(),
+        policy_name: about.name.clone(),
+        policy_checkpoint: about.checkpoint.clone(),
+        policy_checkpoint_digest: about.checkpoint_digest.clone(),
+        policy_privileged: about.privileged,
+        policy_canonical_only: about.language() == wire::Language::CanonicalOnly,
+        policy_settings: settings(description, &assignment.row.execution),
+        batch_mode: match about.batch_mode.as_str() {
+            "" => UNBATCHED.to_owned(),
+            mode => mode.to_owned(),
+        },
+        ..Provenance::default()
+    }
 }
 
 struct Run<'a> {
@@ -322,7 +360,7 @@ impl Run<'_> {
         let observation = observed.map_err(|source| self.simulator_failed(source))?;
         self.watcher.observed(self.queries, &observation);
         if self.queries == 0 && !observation.frames.is_empty() {
-            self.first_frame_digest = frames_digest(&observation);
+            self.first_frame_digest = frames_digest(&observation.frames);
         }
         let observation = observation::to_wire(observation, &self.description.state);
         let actions = add_elapsed_time(&mut self.parts.policy_secs, || {
@@ -359,7 +397,7 @@ impl Run<'_> {
     }
 }
 
-fn continue_unless_abandoned(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
+pub(crate) fn continue_unless_abandoned(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
     match verdict {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(RolloutError::Abandoned),
@@ -394,8 +432,12 @@ fn settings(description: &Description, execution: &Execution) -> BTreeMap<String
 
 /// Returns the end-effector's position, in tenths of a millimetre.
 fn end_effector_position(episode: &mut Episode<'_>) -> [i16; 3] {
+    tenths_of_mm(episode.environment().robot_state().eef_pos)
+}
+
+/// Converts a position from metres.
+pub(crate) fn tenths_of_mm(position: [f64; 3]) -> [i16; 3] {
     const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
-    let position = episode.environment().robot_state().eef_pos;
     // A cast from float to integer saturates, at about three metres.
     position.map(|metres| (metres * TENTHS_OF_MM_PER_M).round() as i16)
 }
@@ -413,9 +455,9 @@ fn observation_request(description: &Description) -> ObservationRequest {
 }
 
 /// Returns the SHA-256 over the pixels of all frames, in the policy's order, hex.
-fn frames_digest(observation: &Observation) -> String {
+pub(crate) fn frames_digest(frames: &[Frame]) -> String {
     let mut hash = Sha256::new();
-    for frame in &observation.frames {
+    for frame in frames {
         hash.update(&frame.rgb);
     }
     hex::encode(hash.finalize())

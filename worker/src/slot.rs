@@ -18,8 +18,10 @@ use crate::actor::PolicyError;
 use crate::filming::film;
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 use crate::parent::{FromParent, Parent};
+use crate::pipe::SimulatorCommand;
 use crate::policy::{CAMPAIGN_SETTINGS, PolicyClient};
-use crate::rollout::{self, RolloutError, Watcher};
+use crate::rollout::{self, Drawn, RolloutError, Watcher};
+use crate::simulated::{self, Simulators};
 use crate::stage::Stage;
 use crate::variants::Prepared;
 
@@ -45,14 +47,20 @@ pub enum SlotError {
 
 type Abandoned = Mutex<Option<AttemptId>>;
 
-/// Serves the parent process until it closes the connection, with `access` to policies.
-pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
+/// Serves the parent process until it closes the connection, with `access` to policies and the
+/// commands of other simulators.
+pub fn run(
+    config: SimulatorConfig,
+    simulators: Vec<SimulatorCommand>,
+    access: &Access,
+) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
     raise_oom_score();
     let parent = Parent::connect().map_err(SlotError::Parent)?;
     let abandoned = Arc::default();
     let assignments = listen(&parent, Arc::clone(&abandoned)).map_err(SlotError::Parent)?;
     let mut simulator = Simulator::new(config);
+    let mut simulators = Simulators::new(simulators);
     let mut policy = None;
     let ready = SlotEvent::Ready {
         renderer: simulator.renderer_name()?,
@@ -66,7 +74,23 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
             abandoned: &abandoned,
             connection_error: None,
         };
-        run_assignment(&mut simulator, (&mut policy, access), &assignment, &mut reporter);
+        let policy = (&mut policy, access);
+        match &assignment.row.simulator {
+            None => run_assignment(&mut simulator, policy, &assignment, &mut reporter),
+            Some(simulated) => {
+                let (renderer, look) = (simulator.renderer_name()?, simulator.look());
+                let drawn = Drawn { renderer, look, ..Drawn::default() };
+                let policy = client(policy.0, &assignment.policy_endpoint, policy.1);
+                let finished = policy.map_err(RolloutError::from).and_then(|policy| {
+                    let simulators = &mut simulators;
+                    simulated::run(simulators, simulated, drawn, policy, &assignment, &mut reporter)
+                });
+                reporter.report(match finished {
+                    Ok(finished) => RolloutEvent::Finished(Box::new(finished)),
+                    Err(error) => ended(&error),
+                });
+            }
+        }
         if let Some(error) = reporter.connection_error {
             return Err(SlotError::Parent(error));
         }
@@ -131,10 +155,7 @@ fn run_assignment(
         .and_then(|policy| rollout::run(&mut stage, policy, assignment, reporter));
     let simulated = match simulated {
         Ok(simulated) => simulated,
-        Err(error) => {
-            let event = error.failure().map(RolloutEvent::Failed);
-            return reporter.report(event.unwrap_or(RolloutEvent::Abandoned));
-        }
+        Err(error) => return reporter.report(ended(&error)),
     };
     reporter.report(RolloutEvent::Finished(Box::new(simulated.finished.clone())));
     let mut progress = |pictures| reporter.advance(RolloutEvent::Filming, pictures);
@@ -143,6 +164,10 @@ fn run_assignment(
         Ok(Some(_)) => reporter.report(RolloutEvent::Filmed),
         Err(error) => reporter.report(RolloutEvent::NotFilmed(chain(&error))),
     }
+}
+
+fn ended(error: &RolloutError) -> RolloutEvent {
+    error.failure().map_or(RolloutEvent::Abandoned, RolloutEvent::Failed)
 }
 
 /// Prepares a rollout of LIBERO's family or of a suite file; also returns the assignment with the

@@ -19,6 +19,7 @@ use tokio::time::Instant;
 pub use config::{Config, Identity};
 pub use error::SuperviseError;
 use link::Link;
+pub use slot_state::START_DEADLINE;
 use supervisor::Supervisor;
 
 /// Capacity of the loop's event queue; senders wait while it is full.

@@ -10,8 +10,8 @@ use benchmark::family::Lacking;
 use benchmark::{
     AXES, Axis, AxisSet, CONTROL_HZ, CampaignSpec, Delays, Design, Directions, Execution,
     ExecutionError, Level, Look, MAX_CONFIGS, MAX_REPLICATES, Nominal, PLACEBO_RADII, Placebo,
-    PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskRef,
-    UnknownName, Wanted, select_tasks,
+    PolicyRoute, Realisation, Record, RendererKind, Rollouts, Stop, StopRule, Strata, TaskKey,
+    TaskRef, UnknownName, Wanted, select_tasks,
 };
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use clap::{ArgGroup, Args};
@@ -269,7 +269,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         return Ok(print_line(&spec)?);
     }
     let tasks = campaign.tasks();
-    let suites: BTreeSet<&str> = tasks.iter().filter_map(|task| task.split('/').next()).collect();
+    let suites = tasks.iter().copied();
+    let suites = suites.filter_map(|task| TaskKey::simulator_of(task).or(task.split('/').next()));
+    let suites: BTreeSet<&str> = suites.collect();
     let asks = match (arguments.no_probe, arguments.dry_run) {
         (true, _) => Asks::Nothing,
         (false, true) => Asks::Length,

@@ -165,8 +165,9 @@ pub(super) fn rollouts_by_suite(
 ) -> Result<BTreeMap<String, u64>, Status> {
     let mut rollouts = BTreeMap::new();
     for requested in requests {
-        // The parser knows only LIBERO's suites, and `own` stands for the tasks of suite files.
-        if requested.suite != Suite::Own.name() {
+        // The parser knows only LIBERO's suites; `own` stands for the tasks of suite files, and
+        // `simulated` for those of other simulators.
+        if ![Suite::Own, Suite::Simulated].map(Suite::name).contains(&&*requested.suite) {
             let _: Suite = requested.suite.parse().map_err(invalid)?;
         }
         let total: &mut u64 = rollouts.entry(requested.suite).or_default();

@@ -75,7 +75,10 @@ impl WorkerService for WorkerApi {
             worker: read::worker_id(&request.worker_id)?,
             claim: read::claim_id(request.claim_id)?,
             warm_task: warm.filter(|task| (1..=MAX_TASK_BYTES).contains(&task.len())),
-            lacking_tasks: lacking.filter(|task| task.len() <= MAX_TASK_BYTES).collect(),
+            means: queue::Means {
+                lacking_tasks: lacking.filter(|task| task.len() <= MAX_TASK_BYTES).collect(),
+                simulators: request.simulators.into_iter().take(MAX_TASKS).collect(),
+            },
         };
         let wait = read::wait(request.wait_secs);
         let claimed = self.queue.claim(&claim, wait).await.map_err(failed)?;

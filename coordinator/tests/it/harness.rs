@@ -306,7 +306,7 @@ impl Worker {
             claim_id: format!("{:032x}", CLAIMS.fetch_add(1, Ordering::Relaxed)),
             wait_secs,
             warm_task: warm.to_owned(),
-            lacking_tasks: Vec::new(),
+            ..wire::ClaimRequest::default()
         }
     }
 

@@ -13,8 +13,8 @@ pub use backoff::{Backoff, Waits};
 pub use capsule::Capsule;
 pub use id::{AttemptId, AttemptIdError, shortened};
 pub use provenance::{
-    CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, MAX_SETTINGS, MAX_TEXT_BYTES, Pin,
-    Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT, first_names,
+    CONNECTED_SINCE, Digests, EXECUTION, Fingerprints, MAX_PACKAGES, MAX_SETTINGS, MAX_TEXT_BYTES,
+    Pin, Provenance, SOFTWARE_RENDERER, TAUGHT_ON, TAUGHT_ON_LOOK, UNNAMED_CHECKPOINT, first_names,
 };
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{

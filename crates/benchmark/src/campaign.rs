@@ -225,6 +225,9 @@ impl CampaignSpec {
         if !row_model.is_wait() && row_model != given {
             return Err(SpecError::Execution { given, row_model });
         }
+        if self.record != Record::None && rows.iter().any(|row| row.simulator.is_some()) {
+            return Err(SpecError::Films);
+        }
         self.check_axes(rows.iter().map(|row| row.id.condition()))
     }
 

@@ -221,6 +221,10 @@ pub struct NoSuchRow {
 /// no paraphrases, the five metric axes.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
+    if id.task().suite() == Suite::Simulated {
+        let remedy = "it is a rollout of another simulator, which campaigns run";
+        return Err(problem(remedy.to_owned()));
+    }
     if id.variant().is_some() {
         let remedy = match id.task().suite() {
             Suite::Own => {

@@ -17,6 +17,9 @@ use crate::names::{UnknownName, serde_as_text};
 pub struct Level {
     // An integer, so that a level equals the level parsed from its text.
     radius_micros: u32,
+    /// True for a level of a benchmark whose radii LIBERO-CTRL does not name; see
+    /// [`Self::without_name`].
+    is_nameless: bool,
 }
 
 impl Level {
@@ -33,7 +36,7 @@ impl Level {
     pub fn of_radius(radius: f64) -> Option<Self> {
         let radius_micros = (radius * f64::from(MICROS)).round();
         let valid = f64::from(MIN_MICROS)..=f64::from(MAX_MICROS);
-        valid.contains(&radius_micros).then_some(Self { radius_micros: radius_micros as u32 })
+        valid.contains(&radius_micros).then_some(Self::of_radius_micros(radius_micros as u32))
     }
 
     pub fn radius(self) -> f64 {
@@ -44,12 +47,18 @@ impl Level {
         Self::PERTURBED.contains(&self)
     }
 
+    /// Returns the level of the same radius that is written as a number: the names stand for the
+    /// units of LIBERO's calibration, which another benchmark does not have. L0 keeps its name.
+    pub(crate) fn without_name(self) -> Self {
+        Self { is_nameless: self != Self::L0, ..self }
+    }
+
     const fn of_whole_radius(radius: u32) -> Self {
         Self::of_radius_micros(radius * MICROS)
     }
 
     pub(crate) const fn of_radius_micros(radius_micros: u32) -> Self {
-        Self { radius_micros }
+        Self { radius_micros, is_nameless: false }
     }
 }
 
@@ -76,7 +85,7 @@ impl FromStr for Level {
         let radius = text.strip_prefix('r').and_then(micros);
         radius
             .filter(|radius| (MIN_MICROS..=MAX_MICROS).contains(radius))
-            .map(|radius_micros| Self { radius_micros })
+            .map(Self::of_radius_micros)
             .ok_or_else(|| UnknownName::new("level", text, &VALID))
     }
 }

@@ -16,7 +16,9 @@ use crate::level::Level;
 use crate::presets::unit;
 use crate::rollout_id::RolloutId;
 use crate::row::{MAX_ROWS, ManifestRow};
+use crate::simulated::{ShortRow, TaskPlaces};
 use crate::suite::TaskRef;
+use crate::task_key::TaskKey;
 use crate::wording::JsonError;
 
 /// Largest number of errors listed; further errors are only counted.
@@ -30,28 +32,40 @@ const RADIUS_TOLERANCE: f64 = 2e-3;
 /// radii.
 const ROUNDING: f64 = 0.5e-6;
 
-/// Parses a manifest. Empty lines are skipped. The error lists up to 20 faults, each with its line.
+/// Parses a manifest. Empty lines are skipped. Rows of other simulators may have their short form,
+/// which `docs/SIMULATORS.md` describes. The error lists up to 20 faults, each with its line.
 pub fn parse(text: &str) -> Result<Vec<ManifestRow>, ManifestErrors> {
     let mut rows = Vec::new();
     let mut checker = Checker::default();
+    let mut places = TaskPlaces::default();
     for (index, text) in text.lines().enumerate() {
         if text.trim().is_empty() {
             continue;
         }
         let line = index + 1;
-        match serde_json::from_str(text) {
+        match parse_row(text, &mut places) {
             Ok(row) => {
                 checker.check(line, &row);
                 rows.push(row);
             }
-            Err(error) => {
-                let problem = LineProblem::Row(JsonError::from(error).problem().to_owned());
-                checker.errors.add(line, problem);
-            }
+            Err(problem) => checker.errors.add(line, LineProblem::Row(problem)),
         }
     }
     checker.finish(rows.len())?;
     Ok(rows)
+}
+
+fn parse_row(text: &str, places: &mut TaskPlaces) -> Result<ManifestRow, String> {
+    let described = |error: serde_json::Error| JsonError::from(error).problem().to_owned();
+    let is_short = text.contains("\"simulator\"") && !text.contains("\"rollout_id\"");
+    let row = match is_short {
+        false => return serde_json::from_str(text).map_err(described),
+        true => serde_json::from_str::<ShortRow>(text).map_err(described)?,
+    };
+    let row = row.complete(places).map_err(|problem| problem.to_string())?;
+    // The full form is checked as that of a stored row.
+    let full = serde_json::to_value(&row).expect("a row of text and numbers serialises");
+    serde_json::from_value(full).map_err(described)
 }
 
 /// Validates rows that were not parsed from a text; errors number them from 1.
@@ -172,6 +186,11 @@ pub enum LineProblem {
         protocol_text(expected)
     )]
     Protocol { id: RolloutId, given: Option<String>, expected: Option<String>, first: usize },
+    #[error(
+        "{id}: its number stands for task {given}, but for {expected} in line {first}: rows that \
+         extend a campaign begin with its tasks, in the order in which it has them"
+    )]
+    Task { id: RolloutId, given: String, expected: String, first: usize },
     #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
     #[error("the manifest has no rows")]
@@ -225,6 +244,8 @@ impl std::error::Error for ManifestErrors {}
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
     configurations: BTreeMap<(TaskRef, Level, u16), Configuration>,
+    /// Keys of other simulators' tasks, each with the line it was read from.
+    simulated: BTreeMap<TaskRef, (String, usize)>,
     /// Execution model of the first row outside the latency axis, and the row's line.
     execution: Option<(Execution, usize)>,
     /// Protocol of the first row, and the row's line.
@@ -247,6 +268,14 @@ impl Checker {
         let id = row.id;
         if !id.condition().sets_execution() {
             self.check_execution(line, row);
+        }
+        if row.simulator.is_some() {
+            let of_this_row = (TaskKey::of_row(row), line);
+            let given = of_this_row.0.clone();
+            let (expected, first) = self.simulated.entry(id.task()).or_insert(of_this_row).clone();
+            if given != expected {
+                self.errors.add(line, LineProblem::Task { id, given, expected, first });
+            }
         }
         let (expected, first) = self.protocol.get_or_insert_with(|| (row.protocol.clone(), line));
         if *expected != row.protocol {
@@ -317,6 +346,10 @@ fn protocol_text(protocol: &Option<String>) -> String {
 }
 
 fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
+    // The units of another simulator may be its own.
+    if row.simulator.is_some() {
+        return Ok(());
+    }
     let (id, level) = (row.id, row.id.level());
     let expected = row.radius();
     for axis in row.perturbation.axes() {

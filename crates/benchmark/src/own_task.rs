@@ -3,6 +3,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::variant_name::{MAX_CHANGE_BYTES, VariantName};
+
 /// Highest number of a corruption of LIBERO-Plus.
 const MAX_NOISE: u8 = 50;
 /// Longest path of a task file in its folder, bytes.
@@ -164,5 +166,17 @@ pub(crate) fn check_range(
             let remedy = format!("write {least} to {most}");
             Err(invalid(field, &given.to_string(), &remedy))
         }
+    }
+}
+
+/// Checks the name of a benchmark, of one of its suites or of a simulator.
+pub(crate) fn check_name(field: &str, name: &str) -> Result<(), InvalidField> {
+    let remedy = format!(
+        "write 1 to {MAX_CHANGE_BYTES} lower-case letters, digits and _, and another word than \
+         `unperturbed`"
+    );
+    match VariantName::own(name) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(invalid(field, &quoted(name), &remedy)),
     }
 }

@@ -96,7 +96,7 @@ impl Suite {
         self.presets().demo_action_rms
     }
 
-    /// LIBERO's longest suite stands in for [`Self::Own`].
+    /// LIBERO's longest suite stands in for those that are not LIBERO's.
     fn presets(self) -> &'static SuitePresets {
         let longest = Self::ALL.len() - 1;
         &presets().suites[self.ordinal().unwrap_or(longest)]
@@ -107,7 +107,7 @@ impl TaskRef {
     /// Initial states of configurations 0 to 9; none for a task of a suite file.
     pub fn eval_init_ids(self) -> &'static [u16] {
         match self.suite() {
-            Suite::Own => &[],
+            Suite::Own | Suite::Simulated => &[],
             suite => &suite.presets().eval_init_ids[usize::from(self.index())],
         }
     }

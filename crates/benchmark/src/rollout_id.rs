@@ -29,6 +29,10 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN for configuration NN, for ex
 /// file, and the name of the task's suite: `own/t17/own:libero_90/i03`. If the file's tasks are
 /// perturbed, their rollouts, nominal ones included, are named as those of LIBERO's tasks:
 /// `own/t17/camera/L2/c00`.
+///
+/// A rollout of another simulator is named likewise, by its task's place in the manifest and, if
+/// nominal, by its seed; its level is always a radius: `sim/t3/sensor/r4/c07`,
+/// `sim/t3/nominal/i07`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
@@ -67,6 +71,10 @@ impl RolloutId {
         level: Level,
         config: u16,
     ) -> Result<Self, UnknownName> {
+        let level = match task.suite() {
+            Suite::Simulated => level.without_name(),
+            _ => level,
+        };
         let id = Self { task, condition, level, number: config, variant: None };
         if !has_config(condition) {
             return Err(unknown(&id.to_string()));
@@ -150,6 +158,7 @@ impl FromStr for RolloutId {
         let index = number(task, "t");
         let task = match *suite {
             "own" => index.and_then(|index| u8::try_from(index).ok()).map(TaskRef::own),
+            "sim" => index.and_then(|index| u8::try_from(index).ok()).map(TaskRef::simulated),
             _ => {
                 let suite: Suite = suite.parse()?;
                 index.map(|index| TaskRef::new(suite, index.into())).transpose()?
@@ -161,7 +170,11 @@ impl FromStr for RolloutId {
         {
             let state = init_state(state).ok_or_else(|| unknown(text))?;
             let name: VariantName = name.parse()?;
-            let is_of_suite = name.benchmark().is_none() == (task.suite() == Suite::Own);
+            let is_of_suite = match task.suite() {
+                Suite::Own => name.benchmark().is_none(),
+                Suite::Simulated => false,
+                _ => name.benchmark().is_some(),
+            };
             return is_of_suite
                 .then_some(Self::of_variant(task, name, state))
                 .ok_or_else(|| unknown(text));
@@ -175,7 +188,8 @@ impl FromStr for RolloutId {
         };
         match number {
             Some(state) if condition == Condition::Nominal => {
-                let is_valid = level == Level::L0 && state < INIT_STATES_PER_TASK;
+                let is_valid = level == Level::L0
+                    && (state < INIT_STATES_PER_TASK || task.suite() == Suite::Simulated);
                 is_valid.then_some(Self::nominal(task, state)).ok_or_else(|| unknown(text))
             }
             Some(config) => Self::perturbed(task, condition, level, config),
@@ -226,6 +240,10 @@ mod tests {
         check("spatial/t0/camera/L0/c03", "spatial/t0/camera/L0/c03");
         check("own/t255/camera/L2/c00", "own/t255/camera/L2/c00");
         check("own/t1/nominal/i00", "own/t1/nominal/i00");
+        check("sim/t1/nominal/i1234", "sim/t1/nominal/i1234");
+        check("sim/t1/sensor/L2/c07", "sim/t1/sensor/r4/c07");
+        check("sim/t255/simultaneous/r2/c07", "sim/t255/simultaneous/r2/c07");
+        check("sim/t255/sensor/L0/c07", "sim/t255/sensor/L0/c07");
         let id: RolloutId = "long/t5/sensor/L3/c08".parse().expect("an id");
         assert_eq!(id.task(), "libero_10/5".parse().expect("a task"));
         assert_eq!(id.condition(), Condition::Single(Axis::Sensor));
@@ -284,6 +302,9 @@ mod tests {
             "own/t1/plus:noise_30/i00",
             "goal/t1/own:libero_90/i00",
             "own/t256/camera/L2/c00",
+            "sim/t256/sensor/r4/c00",
+            "sim/t1/own:metaworld/i00",
+            "sim/t1/plus:noise_30/i00",
             "",
             "spatial",
             "spatial/t0/camera/L2",

@@ -18,6 +18,7 @@ use crate::own_task::{InvalidField, OwnTask};
 use crate::perturbation::{PerturbError, Perturbation};
 use crate::presets::SETTLE_STEPS;
 use crate::rollout_id::RolloutId;
+use crate::simulated::SimulatedTask;
 use crate::suite::{INIT_STATES_PER_TASK, Suite};
 
 /// Largest number of rows of a campaign, designed or imported.
@@ -58,6 +59,9 @@ pub struct ManifestRow {
     pub own: Option<Box<OwnTask>>,
     /// Benchmark whose task files the rollout needs; `None` if LIBERO's or its own suffice.
     pub files: Option<Benchmark>,
+    /// Task of a row of another simulator, whose `init_id` is the seed of the reset; `None` for all
+    /// other rows.
+    pub simulator: Option<Box<SimulatedTask>>,
 }
 
 impl ManifestRow {
@@ -77,6 +81,7 @@ impl ManifestRow {
             protocol: None,
             own: None,
             files: None,
+            simulator: None,
         }
     }
 
@@ -108,6 +113,7 @@ impl ManifestRow {
     pub fn axes(&self) -> AxisSet {
         let given = self.perturbation.axes().into_iter();
         let given = given.chain(self.variant_id.is_some().then_some(Axis::Language));
+        let given = given.chain(self.simulator.iter().flat_map(|of| of.perturb.keys().copied()));
         self.id.condition().axes(given.collect())
     }
 
@@ -133,8 +139,11 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the instruction without the language axis.
+    /// Returns the instruction without the language axis; empty if another simulator has it.
     pub fn canonical_instruction(&self) -> String {
+        if let Some(simulated) = &self.simulator {
+            return simulated.instruction.clone();
+        }
         match &self.own {
             Some(own) if self.variant_id.is_some() => own.instruction.clone(),
             Some(_) if self.id.task().suite() == Suite::Own => self.instruction.clone(),
@@ -142,9 +151,12 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the name of the suite that is sent to a policy: that of LIBERO's suite, or the name
-    /// in the suite file.
+    /// Returns the name of the suite that is sent to a policy: that of LIBERO's suite, the name in
+    /// the suite file, or the simulator's.
     pub fn suite_name(&self) -> &str {
+        if let Some(simulated) = &self.simulator {
+            return &simulated.name;
+        }
         let own = self.own.as_deref().map(|own| own.suite.as_str());
         own.filter(|suite| !suite.is_empty()).unwrap_or(self.id.suite_name())
     }
@@ -162,6 +174,9 @@ impl ManifestRow {
             if let Some(own) = &mut row.own {
                 own.instruction.clear();
             }
+        }
+        if let Some(simulated) = &mut row.simulator {
+            simulated.only(axes);
         }
         Ok(row)
     }
@@ -205,6 +220,13 @@ pub enum RowError {
     Own { id: RolloutId, is_given: bool },
     #[error("read row {id}: {problem}")]
     OwnTask { id: RolloutId, problem: InvalidField },
+    #[error(
+        "read row {id}: `simulator` is {}; write it in rows whose ids begin with sim/ only",
+        if *is_given { "given" } else { "missing" }
+    )]
+    Simulator { id: RolloutId, is_given: bool },
+    #[error("read row {id}: `num_steps_wait` is {given}: write 0 in rows of other simulators")]
+    Settling { id: RolloutId, given: u32 },
     #[error("read row {id}: {problem}")]
     Perturb {
         id: RolloutId,
@@ -244,6 +266,8 @@ struct FlatRow {
     own: Option<Box<OwnTask>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     files: Option<Benchmark>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    simulator: Option<Box<SimulatedTask>>,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -279,7 +303,8 @@ impl From<ManifestRow> for FlatRow {
             protocol: row.protocol,
             own: row.own,
             files: row.files,
-            perturb: row.perturbation.to_manifest(id.condition()),
+            perturb: row.perturbation.to_manifest(in_worker(id, row.simulator.as_deref())),
+            simulator: row.simulator,
         }
     }
 }
@@ -297,7 +322,9 @@ impl TryFrom<FlatRow> for ManifestRow {
         check_column(id, "suite", flat.suite, id.task().suite().to_string())?;
         check_column(id, "task_id", flat.task_id, id.task().index())?;
         check_column(id, "axis", flat.axis.parse()?, condition)?;
-        check_column(id, "level", flat.level, id.level())?;
+        if flat.level.radius() != id.level().radius() {
+            check_column(id, "level", flat.level, id.level())?;
+        }
         match flat.config {
             Some(given) => check_column(id, "config", given, id.number())?,
             None if id.config().is_none() => {}
@@ -306,7 +333,15 @@ impl TryFrom<FlatRow> for ManifestRow {
         if id.config().is_none() {
             check_column(id, "init_id", flat.init_id, id.number())?;
         }
-        if flat.init_id >= INIT_STATES_PER_TASK {
+        let is_given = flat.simulator.is_some();
+        if is_given != (id.task().suite() == Suite::Simulated) {
+            return Err(RowError::Simulator { id, is_given });
+        }
+        if is_given && flat.num_steps_wait != 0 {
+            let given = flat.num_steps_wait;
+            return Err(RowError::Settling { id, given });
+        }
+        if flat.init_id >= INIT_STATES_PER_TASK && !is_given {
             let given = flat.init_id;
             return Err(RowError::InitState { id, given });
         }
@@ -341,8 +376,14 @@ impl TryFrom<FlatRow> for ManifestRow {
         if !is_valid {
             return Err(RowError::Placebo { id, given });
         }
-        let perturbation = Perturbation::from_manifest(condition, flat.perturb)
+        let acting = in_worker(id, flat.simulator.as_deref());
+        let perturbation = Perturbation::from_manifest(acting, flat.perturb)
             .map_err(|problem| RowError::Perturb { id, problem })?;
+        if let Some(Err(problem)) =
+            flat.simulator.as_deref().map(|simulated| simulated.check(condition, &perturbation))
+        {
+            return Err(RowError::OwnTask { id, problem });
+        }
         Ok(Self {
             id,
             init_slot: flat.init_slot,
@@ -357,8 +398,14 @@ impl TryFrom<FlatRow> for ManifestRow {
             protocol: flat.protocol,
             own: flat.own,
             files: flat.files,
+            simulator: flat.simulator,
         })
     }
+}
+
+/// Returns the part of a row's condition whose parameters are in the column `perturb`.
+fn in_worker(id: RolloutId, simulated: Option<&SimulatedTask>) -> Condition {
+    simulated.map_or(id.condition(), |simulated| simulated.acting_in_worker(id.condition()))
 }
 
 fn radius_text(radius: Option<f64>) -> String {

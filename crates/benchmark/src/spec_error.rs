@@ -54,6 +54,11 @@ pub enum SpecError {
          compared with rollouts without delay; remove `execution` or the axis"
     )]
     Latency { given: Execution },
+    #[error(
+        "read campaign specification: `record` with rows of other simulators, which are not \
+         filmed: write none"
+    )]
+    Films,
     #[error("read campaign specification: {0}")]
     Stop(StopError),
     #[error("read campaign specification: {0}")]

@@ -23,13 +23,17 @@ pub enum Suite {
     /// The tasks of a suite file, by their position in the file. This is no suite of LIBERO, so
     /// that neither [`Self::ALL`] nor the parser includes it.
     Own,
+    /// The tasks of other simulators, by their order in the manifest. Like [`Self::Own`] no suite
+    /// of LIBERO.
+    Simulated,
 }
 
 impl Suite {
     /// LIBERO's suites, in the reference's order.
     pub const ALL: [Self; 4] = [Self::Spatial, Self::Object, Self::Goal, Self::Long];
 
-    /// Returns LIBERO's name: `libero_spatial`, …, `libero_10`; `own` for [`Self::Own`].
+    /// Returns LIBERO's name: `libero_spatial`, …, `libero_10`; `own` for [`Self::Own`] and
+    /// `simulated` for [`Self::Simulated`].
     pub const fn name(self) -> &'static str {
         match self {
             Self::Spatial => "libero_spatial",
@@ -37,10 +41,11 @@ impl Suite {
             Self::Goal => "libero_goal",
             Self::Long => "libero_10",
             Self::Own => "own",
+            Self::Simulated => "simulated",
         }
     }
 
-    /// Returns the name in rollout ids: `spatial`, `object`, `goal`, `long`, `own`.
+    /// Returns the name in rollout ids: `spatial`, `object`, `goal`, `long`, `own`, `sim`.
     pub const fn short_name(self) -> &'static str {
         match self {
             Self::Spatial => "spatial",
@@ -48,14 +53,15 @@ impl Suite {
             Self::Goal => "goal",
             Self::Long => "long",
             Self::Own => "own",
+            Self::Simulated => "sim",
         }
     }
 
-    /// Returns the suite's tasks in the benchmark's order; none for [`Self::Own`], whose tasks only
-    /// a suite file lists.
+    /// Returns the suite's tasks in the benchmark's order; none for [`Self::Own`] and
+    /// [`Self::Simulated`], whose tasks only a suite file or a manifest lists.
     pub fn tasks(self) -> impl Iterator<Item = TaskRef> {
         let count = match self {
-            Self::Own => 0,
+            Self::Own | Self::Simulated => 0,
             _ => TASKS_PER_SUITE,
         };
         (0..count).map(move |index| TaskRef { suite: self, index })
@@ -63,7 +69,7 @@ impl Suite {
 
     pub(crate) const fn ordinal(self) -> Option<usize> {
         match self {
-            Self::Own => None,
+            Self::Own | Self::Simulated => None,
             suite => Some(suite as usize),
         }
     }
@@ -99,7 +105,7 @@ pub struct TaskRef {
 impl TaskRef {
     pub fn new(suite: Suite, index: u32) -> Result<Self, UnknownName> {
         match u8::try_from(index) {
-            Ok(index) if index < TASKS_PER_SUITE && suite != Suite::Own => {
+            Ok(index) if index < TASKS_PER_SUITE && suite.ordinal().is_some() => {
                 Ok(Self { suite, index })
             }
             _ => Err(unknown_task(&format!("{suite}/{index}"), suite.name())),
@@ -109,6 +115,11 @@ impl TaskRef {
     /// The index is the task's position in the suite file.
     pub const fn own(index: u8) -> Self {
         Self { suite: Suite::Own, index }
+    }
+
+    /// The index is the task's place among those of the manifest.
+    pub const fn simulated(index: u8) -> Self {
+        Self { suite: Suite::Simulated, index }
     }
 
     pub fn all() -> impl Iterator<Item = Self> {

@@ -12,13 +12,13 @@ use crate::axis_set::AxisSet;
 use crate::design::{Design, DesignError};
 use crate::expansion::NoSuchRow;
 use crate::own_task::{
-    Beginning, Changes, InvalidField, OwnTask, check_path, check_range, invalid, quoted,
+    Beginning, Changes, InvalidField, OwnTask, check_name, check_path, check_range, invalid, quoted,
 };
 use crate::perturbation::Perturbation;
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef, instruction_of_name};
-use crate::variant_name::{MAX_CHANGE_BYTES, VariantName};
+use crate::variant_name::VariantName;
 use crate::wording::JsonError;
 
 /// Placeholder for the task's name in the paths of a suite.
@@ -363,17 +363,6 @@ impl FileTask {
 
 const fn all_states() -> u16 {
     INIT_STATES_PER_TASK
-}
-
-fn check_name(field: &str, name: &str) -> Result<(), InvalidField> {
-    let remedy = format!(
-        "write 1 to {MAX_CHANGE_BYTES} lower-case letters, digits and _, and another word than \
-         `unperturbed`"
-    );
-    match VariantName::own(name) {
-        Ok(_) => Ok(()),
-        Err(_) => Err(invalid(field, &quoted(name), &remedy)),
-    }
 }
 
 #[cfg(test)]

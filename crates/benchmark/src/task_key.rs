@@ -6,6 +6,9 @@ use crate::benchmark::Benchmark;
 use crate::row::ManifestRow;
 use crate::suite::{Suite, TaskRef};
 
+/// Beginning of the keys of other simulators' tasks.
+const SIMULATED: &str = "simulated/";
+
 /// A task with the benchmark whose task files it needs beside LIBERO's. Displays as
 /// `libero_goal/8`, or as `libero_goal/8+libero-plus`. Workers name the keys that they cannot run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,13 +20,22 @@ pub struct TaskKey {
 
 impl TaskKey {
     /// Returns the text of a row's key. The key of a suite file's task has the file's name and
-    /// digest, as in `own/17+libero_90@0123456789abcdef`, since two files may have the same name.
+    /// digest, as in `own/17+libero_90@0123456789abcdef`, since two files may have the same name;
+    /// that of another simulator's task its names, as in `simulated/metaworld/reach-v3`.
     pub fn of_row(row: &ManifestRow) -> String {
         let task = row.id.task();
-        match (task.suite(), &row.protocol) {
-            (Suite::Own, Some(protocol)) => format!("{task}+{protocol}"),
+        match (&row.simulator, task.suite(), &row.protocol) {
+            (Some(simulated), ..) => format!("{SIMULATED}{}/{}", simulated.name, simulated.task),
+            (None, Suite::Own, Some(protocol)) => format!("{task}+{protocol}"),
             _ => Self { task, files: row.files }.to_string(),
         }
+    }
+
+    /// Returns the name of the simulator that the rollouts of a key need; `None` if they run in
+    /// LIBERO.
+    pub fn simulator_of(text: &str) -> Option<&str> {
+        let (name, _) = text.strip_prefix(SIMULATED)?.split_once('/')?;
+        Some(name)
     }
 
     pub fn of_task(task: TaskRef) -> impl Iterator<Item = Self> {
@@ -39,7 +51,7 @@ impl TaskKey {
 
     /// Returns the benchmark whose task files a key needs, from the key's text.
     pub fn files_of(text: &str) -> Option<Benchmark> {
-        let (_, name) = text.split_once('+')?;
+        let (_, name) = text.split_once('+').filter(|_| Self::simulator_of(text).is_none())?;
         let mut all = Benchmark::ALL.into_iter();
         all.find(|benchmark| benchmark.name() == name)
     }

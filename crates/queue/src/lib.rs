@@ -29,7 +29,7 @@ pub use operations::artifacts::{
 };
 pub use operations::backup::Backup;
 pub use operations::campaigns::Created;
-pub use operations::claim::{Assigned, ClaimRequest, Claimed, MAX_CLAIM_WAIT};
+pub use operations::claim::{Assigned, ClaimRequest, Claimed, MAX_CLAIM_WAIT, Means};
 pub use operations::commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operations::error::QueueError;
 pub use operations::films::Film;

@@ -126,8 +126,8 @@ impl Queue {
     pub async fn view(&self) -> Result<View, StoreError> {
         let filming = self.filming.by_worker();
         let shared = &*self.shared;
-        let (now, timing, lacking) = (shared.now(), shared.timing, shared.lacking.clone());
-        View::begin(&shared.store, now, timing, self.held(), filming, lacking).await
+        let (now, timing, means) = (shared.now(), shared.timing, shared.means.clone());
+        View::begin(&shared.store, now, timing, self.held(), filming, means).await
     }
 
     pub async fn changes(&self) -> Result<Changes, StoreError> {

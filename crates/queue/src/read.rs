@@ -29,7 +29,7 @@ use sqlx::{Sqlite, SqliteConnection, Transaction};
 
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
-use crate::operations::lacking::LackingTasks;
+use crate::operations::means::MeansOfWorkers;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
@@ -56,7 +56,7 @@ pub struct View {
     held: Option<String>,
     /// Number of videos that each worker renders or uploads; workers without videos are absent.
     filming: BTreeMap<WorkerId, u32>,
-    lacking: Arc<LackingTasks>,
+    means: Arc<MeansOfWorkers>,
 }
 
 impl View {
@@ -66,9 +66,9 @@ impl View {
         timing: Timing,
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
-        lacking: Arc<LackingTasks>,
+        means: Arc<MeansOfWorkers>,
     ) -> Result<View, StoreError> {
-        Ok(View { transaction: store.read().await?, now, timing, held, filming, lacking })
+        Ok(View { transaction: store.read().await?, now, timing, held, filming, means })
     }
 
     pub(crate) fn tx(&mut self) -> &mut SqliteConnection {

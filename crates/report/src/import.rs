@@ -5,7 +5,7 @@
 //! Lines are read one at a time. A file with a bad line is rejected as a whole, with the
 //! numbers of its bad lines, because a partial import would change the figures.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
@@ -172,6 +172,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         // A suite file's tasks under LIBERO-CTRL's axes are reported as LIBERO's are.
         protocol: reading.protocol.filter(|_| is_of_variants),
         early_stop: None,
+        simulated: BTreeMap::new(),
     })
 }
 
@@ -323,7 +324,7 @@ impl Row {
         let (id, task) = (self.rollout_id, self.rollout_id.task());
         let agreements = [
             ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
-            ("level", self.level.is_none_or(|level| level == id.level())),
+            ("level", self.level.is_none_or(|level| level.radius() == id.level().radius())),
             ("suite", self.suite.as_deref().is_none_or(|suite| suite == task.suite().name())),
             ("task_id", self.task_id.is_none_or(|index| index == task.index())),
             (

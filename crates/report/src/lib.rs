@@ -22,6 +22,7 @@ mod interactions;
 mod page;
 mod paper;
 mod sequential;
+mod simulated;
 mod subject;
 mod table;
 mod tables;
@@ -40,6 +41,7 @@ pub use interactions::{AxisInteractions, LevelInteractions, NoInteractions};
 pub use page::{STYLE, comparison as page_comparison, page, sections, warnings as page_warnings};
 pub use paper::{published_policies, published_rate};
 pub use sequential::{Sequential, describe_early_stop};
+pub use simulated::SimulatedTask;
 pub use subject::{
     BeyondRange, Derived, EarlyStop, Origin, Prospect, Quarantined, Setups, Subject, counted,
     rollout_name,

@@ -15,6 +15,7 @@ use crate::comparison_tables::pairs;
 use crate::document::Document;
 use crate::figures::{self, Figure, Link, levels};
 use crate::paper;
+use crate::simulated;
 use crate::subject::Quarantined;
 use crate::tables;
 
@@ -167,6 +168,7 @@ pub(crate) fn overview(document: &Document, with_intervals: bool) -> Vec<Block<'
     });
     let axes = tables::axes(analyses, with_intervals);
     let mut blocks = vec![Block::Table(suites), Block::Table(axes)];
+    blocks.extend(analyses.iter().map(|of| Block::Table(simulated::by_task(of))));
     blocks.extend(finding_blocks(analyses, true));
     let several = analyses.len() > 1;
     for analysis in analyses {

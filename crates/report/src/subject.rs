@@ -11,6 +11,8 @@ use benchmark::{
 use paired::{CampaignLook, Count, Progress, Record};
 use serde::{Deserialize, Serialize};
 
+use crate::simulated::SimulatedTask;
+
 /// Outcomes of one policy, with their provenance.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
@@ -62,6 +64,9 @@ pub struct Subject {
     /// Early-stop rule of the campaign and its state; `None` if the campaign has no such rule.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub early_stop: Option<EarlyStop>,
+    /// Tasks of other simulators, by their index in rollout ids; empty for LIBERO.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub simulated: BTreeMap<u8, SimulatedTask>,
 }
 
 impl Subject {

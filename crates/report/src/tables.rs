@@ -327,7 +327,7 @@ pub(crate) fn suites(
 /// Success by task.
 pub(crate) fn tasks(analysis: &Analysis) -> Table {
     Rows::new(format!("{}: success by task", analysis.label), &analysis.report.by_task)
-        .key("task", |row| cell(row.task))
+        .key("task", |row| cell(analysis.subject.task_name(row.task)))
         .words("level", |row| cell(row.level))
         .words("condition", |row| cell(row.condition.name()))
         .column("success", "%", "", |row| or_dash(row.count.rate().map(percent)))

@@ -8,6 +8,7 @@ use paired::Outcome;
 use benchmark::attempt::{CONNECTED_SINCE, Fingerprints, Provenance, first_names};
 use benchmark::{Condition, Look, execution_at};
 
+use crate::simulated::paired_by_seed_only;
 use crate::subject::{Subject, pluralise};
 
 /// The built-in asset pack, which is a different benchmark from LIBERO.
@@ -22,6 +23,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
     let provenances = &subject.provenances;
     let mut warnings = Vec::new();
     warnings.extend(left_out(subject));
+    warnings.extend(paired_by_seed_only(subject));
     for (name, consequence, property) in MIXTURES {
         warnings.extend(mixed(property(subject), name, consequence));
     }
@@ -38,7 +40,7 @@ pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
             Look::default()
         ));
     }
-    if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
+    if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES && p.simulator.is_empty()) {
         warnings.push(format!(
             "simulated with the built-in `{PRIMITIVES}` asset pack: boxes and cylinders, not \
              LIBERO's objects; these rates say nothing about LIBERO and compare with no \

@@ -49,11 +49,17 @@ pub struct Conditions {
     realisation: Realisation,
     realised: Realised,
     ik: Option<IkSolution>,
-    sensor: Option<SensorStage>,
-    actuation: Option<ActuationStage>,
+    interference: Interference,
     noise: Option<Noise>,
     settle_steps: u32,
     policy_steps: u32,
+}
+
+/// Perturbations between policy and simulator: of the frames and of the actions.
+#[derive(Clone, Default)]
+pub struct Interference {
+    sensor: Option<SensorStage>,
+    actuation: Option<ActuationStage>,
 }
 
 pub struct Episode<'a> {
@@ -121,24 +127,12 @@ impl Conditions {
         if let Some(shift) = &perturbation.lighting {
             realise(Axis::Lighting, apply_lighting(ready, environment, shift));
         }
-        let randomness = |axis| Randomness::of(&row.id, axis, realisation);
-        let sensor = perturbation.sensor.map(|corruption| {
-            let stage = SensorStage::new(&corruption, &randomness(Axis::Sensor));
-            realise(Axis::Sensor, stage.realised());
-            stage
-        });
-        let actuation = perturbation.actuation.map(|distortion| {
-            let rms = row.id.task().suite().demo_action_rms();
-            let stage = ActuationStage::new(&distortion, rms, &randomness(Axis::Actuation));
-            realise(Axis::Actuation, stage.realised());
-            stage
-        });
+        let interference = Interference::new(row, realisation, &mut realised);
         Ok(Self {
             realisation,
             realised,
             ik,
-            sensor,
-            actuation,
+            interference,
             noise: None,
             settle_steps: row.settle_steps,
             policy_steps: 0,
@@ -157,8 +151,7 @@ impl Conditions {
             realisation: Realisation::Matched,
             realised: Realised::default(),
             ik: None,
-            sensor: None,
-            actuation: None,
+            interference: Interference::default(),
             noise,
             settle_steps: row.settle_steps,
             policy_steps: 0,
@@ -215,16 +208,13 @@ impl Conditions {
         frame: ActionFrame,
     ) -> Result<bool, SimError> {
         let action = match frame {
-            ActionFrame::Absolute if self.actuation.is_some() => {
+            ActionFrame::Absolute if self.interference.actuation.is_some() => {
                 return Err(SimError::DistortedPose);
             }
             ActionFrame::Absolute => *policy_action,
             ActionFrame::Relative => {
                 let command = self.command(policy_action);
-                match &mut self.actuation {
-                    Some(stage) => stage.apply(&command),
-                    None => command,
-                }
+                self.interference.distort(&command)
             }
         };
         self.policy_steps += 1;
@@ -234,10 +224,46 @@ impl Conditions {
     /// Leaves cameras that policies do not receive unchanged. For a given camera and size, the
     /// corruption depends only on the control step.
     pub fn corrupt(&mut self, frame: &mut Frame) {
+        self.interference.corrupt(frame, self.policy_steps);
+    }
+}
+
+impl Interference {
+    /// Adds the realised axes to `realised`.
+    pub fn new(row: &ManifestRow, realisation: Realisation, realised: &mut Realised) -> Self {
+        let randomness = |axis| Randomness::of(&row.id, axis, realisation);
+        let mut realise = |axis, elements| {
+            realised.add(axis, row.perturbation.values(axis), elements);
+        };
+        let sensor = row.perturbation.sensor.map(|corruption| {
+            let stage = SensorStage::new(&corruption, &randomness(Axis::Sensor));
+            realise(Axis::Sensor, stage.realised());
+            stage
+        });
+        let actuation = row.perturbation.actuation.map(|distortion| {
+            let rms = row.id.task().suite().demo_action_rms();
+            let stage = ActuationStage::new(&distortion, rms, &randomness(Axis::Actuation));
+            realise(Axis::Actuation, stage.realised());
+            stage
+        });
+        Self { sensor, actuation }
+    }
+
+    /// Returns the action that a command causes.
+    pub fn distort(&mut self, command: &[f64; 7]) -> [f64; 7] {
+        match &mut self.actuation {
+            Some(stage) => stage.apply(command),
+            None => *command,
+        }
+    }
+
+    /// Leaves cameras that policies do not receive unchanged. `step` is the number of control steps
+    /// before the frame.
+    pub fn corrupt(&mut self, frame: &mut Frame, step: u32) {
         if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
             stage.apply(&mut perturb::Frame {
                 source,
-                step: self.policy_steps,
+                step,
                 width: frame.width as usize,
                 height: frame.height as usize,
                 rgb: &mut frame.rgb,
@@ -302,8 +328,7 @@ impl<'a> Episode<'a> {
     /// Past effects on the state remain, including a displaced arm.
     pub fn lift(&mut self) {
         self.environment.restore_appearance();
-        self.conditions.sensor = None;
-        self.conditions.actuation = None;
+        self.conditions.interference = Interference::default();
         self.conditions.noise = None;
     }
 

@@ -31,7 +31,7 @@ mod yuv;
 pub use compiled_scene::CompiledScene;
 pub use controller::ActionFrame;
 pub use environment::Environment;
-pub use episode::{Conditions, Digests, Episode};
+pub use episode::{Conditions, Digests, Episode, Interference};
 pub use error::SimError;
 pub use fingerprint::fingerprint;
 pub use mujoco::{ObjectKind, Segment};

@@ -104,6 +104,8 @@ class Description:
     execute: int | None = None
     cameras: tuple[Camera, ...] = ()
     state: tuple[State, ...] = ()
+    #: Further readings, by the names that a simulator other than LIBERO gives them.
+    readings: tuple[str, ...] = ()
     #: Id of the weights as their publisher writes it, and their digest.
     checkpoint: str = ""
     checkpoint_digest: str = ""
@@ -132,6 +134,7 @@ class Description:
     def __post_init__(self) -> None:
         object.__setattr__(self, "cameras", tuple(self.cameras))
         object.__setattr__(self, "state", tuple(self.state))
+        object.__setattr__(self, "readings", tuple(self.readings))
         object.__setattr__(self, "settings", dict(self.settings))
         if not self.name:
             raise ValueError("a policy needs a name")
@@ -153,8 +156,9 @@ class Description:
                     f"policy {self.name[:64]!r}: {attribute} has {size} bytes, and results hold"
                     f" at most {MAX_TEXT_BYTES}"
                 )
-        if len(set(self.state)) != len(self.state):
-            raise ValueError(f"policy {self.name!r}: a reading is named twice in {self.state}")
+        for readings in (self.state, self.readings):
+            if len(set(readings)) != len(readings):
+                raise ValueError(f"policy {self.name!r}: a reading is named twice in {readings}")
         names = [camera.name for camera in self.cameras]
         if len(set(names)) != len(names):
             raise ValueError(f"policy {self.name!r}: one camera is named twice in {names}")
@@ -190,6 +194,7 @@ class Description:
                 for camera in self.cameras
             ],
             state=[field.value for field in self.state],
+            readings=self.readings,
             horizon=self.horizon,
             execute=self.execute,
             stateful=self.stateful,
@@ -210,6 +215,7 @@ class Description:
             "parameters": f"{self.parameters:,}" if self.parameters else "",
             "cameras": ", ".join(cameras) or "none",
             "state": ", ".join(reading.name.lower() for reading in self.state) or "none",
+            "readings": ", ".join(self.readings),
             "horizon": f"{self.horizon}",
             "execute": f"{self.execute}",
             "gripper": self.gripper.value,

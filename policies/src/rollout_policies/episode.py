@@ -63,6 +63,8 @@ class Observation:
     images: Mapping[str, np.ndarray]
     #: Readings, float64, in the units that `State` documents.
     state: Mapping[State, np.ndarray] = field(default_factory=dict)
+    #: Readings that the description names in `readings`, float64.
+    readings: Mapping[str, np.ndarray] = field(default_factory=dict)
     #: Result of the policy's `prepare`.
     prepared: Any = None
     #: Set under real-time chunking, else None. A policy that uses it declares `real_time_chunking`
@@ -101,7 +103,8 @@ def read_observation(
     """Checks an observation against the description and unpacks it. Raises UnusableObservation,
     which names the missing or misshapen input."""
     frames = {image.camera: image for image in message.images}
-    readings = {reading.field: reading for reading in message.state}
+    # One that is named has no field.
+    readings = {reading.name or reading.field: reading for reading in message.state}
     images = {}
     for camera in description.cameras:
         frame = frames.get(camera.name)
@@ -126,4 +129,9 @@ def read_observation(
                 f"reading {requested.name} has {len(reading.values)} numbers, not {requested.size}"
             )
         state[requested] = np.array(reading.values, dtype=np.float64)
-    return Observation(episode, query_index, images, state)
+    named = {}
+    for name in description.readings:
+        if name not in readings:
+            raise UnusableObservation(f"it has no reading {name!r}")
+        named[name] = np.array(readings[name].values, dtype=np.float64)
+    return Observation(episode, query_index, images, state, named)

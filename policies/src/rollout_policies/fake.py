@@ -22,6 +22,8 @@ TASKS = {
 OBJECTS = 6
 #: The Panda's rest posture, rad.
 JOINTS = (0.0, -0.16, 0.0, -2.44, 0.0, 2.23, 0.785)
+#: Numbers of a reading that only a simulator defines; larger than that of most.
+NAMED_SIZE = 64
 #: Spread of readings around the rest posture: m and rad; joint velocities, rad/s.
 SPREAD = 0.05
 
@@ -47,6 +49,7 @@ def fake_observation(
         query_index,
         {camera.name: fake_frame(camera, rng) for camera in description.cameras},
         {field: readings[field] for field in description.state},
+        {name: np.zeros(NAMED_SIZE) for name in description.readings},
     )
 
 
@@ -96,5 +99,9 @@ def to_message(observation: Observation) -> pb.Observation:
         state=[
             pb.StateReading(field=reading.value, values=values)
             for reading, values in observation.state.items()
+        ]
+        + [
+            pb.StateReading(name=name, values=values)
+            for name, values in observation.readings.items()
         ],
     )

@@ -55,8 +55,11 @@ impl Situation {
             let rgb = resize(&rgb, [SIDE; 2], size.map(|side| side as usize));
             Image { camera: camera.name.clone(), width: size[0], height: size[1], rgb: rgb.into() }
         };
-        let reading =
-            |field: StateField| StateReading { field: field.into(), values: self.reading(field) };
+        let reading = |field: StateField| StateReading {
+            field: field.into(),
+            values: self.reading(field),
+            ..StateReading::default()
+        };
         Observation {
             images: described.cameras.iter().map(image).collect(),
             state: described.state().map(reading).collect(),

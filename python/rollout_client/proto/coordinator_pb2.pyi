@@ -51,18 +51,20 @@ class RegisterResponse(_message.Message):
     def __init__(self, protocol_version: _Optional[int] = ..., program_version: _Optional[str] = ..., lease_secs: _Optional[float] = ..., heartbeat_secs: _Optional[float] = ..., progress_timeout_secs: _Optional[float] = ..., idle_reason: _Optional[str] = ...) -> None: ...
 
 class ClaimRequest(_message.Message):
-    __slots__ = ("worker_id", "claim_id", "wait_secs", "warm_task", "lacking_tasks")
+    __slots__ = ("worker_id", "claim_id", "wait_secs", "warm_task", "lacking_tasks", "simulators")
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
     CLAIM_ID_FIELD_NUMBER: _ClassVar[int]
     WAIT_SECS_FIELD_NUMBER: _ClassVar[int]
     WARM_TASK_FIELD_NUMBER: _ClassVar[int]
     LACKING_TASKS_FIELD_NUMBER: _ClassVar[int]
+    SIMULATORS_FIELD_NUMBER: _ClassVar[int]
     worker_id: str
     claim_id: str
     wait_secs: float
     warm_task: str
     lacking_tasks: _containers.RepeatedScalarFieldContainer[str]
-    def __init__(self, worker_id: _Optional[str] = ..., claim_id: _Optional[str] = ..., wait_secs: _Optional[float] = ..., warm_task: _Optional[str] = ..., lacking_tasks: _Optional[_Iterable[str]] = ...) -> None: ...
+    simulators: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, worker_id: _Optional[str] = ..., claim_id: _Optional[str] = ..., wait_secs: _Optional[float] = ..., warm_task: _Optional[str] = ..., lacking_tasks: _Optional[_Iterable[str]] = ..., simulators: _Optional[_Iterable[str]] = ...) -> None: ...
 
 class ClaimResponse(_message.Message):
     __slots__ = ("lease", "idle_reason")

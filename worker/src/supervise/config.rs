@@ -28,6 +28,8 @@ pub struct Config {
     pub provider: Option<Provider>,
     /// Tasks that the asset pack cannot show and the worker therefore does not claim.
     pub lacking_tasks: Vec<TaskRef>,
+    /// Names of the other simulators that the slots can start.
+    pub simulators: Vec<String>,
     /// Endpoint of the policies, which overrides the endpoints of the leases.
     pub policy_endpoint: Option<String>,
     /// Longest time to finish rollouts in flight after the worker is asked to end; `None` sets no

@@ -13,7 +13,7 @@ use crate::message::FailureKind;
 
 /// Longest start of a slot's process, which loads libraries, opens the renderer, and simulates and
 /// draws a fixed motion.
-pub(crate) const START_DEADLINE: Duration = Duration::from_secs(120);
+pub const START_DEADLINE: Duration = Duration::from_secs(120);
 /// Longest time to abandon a rollout before the process is killed. The process checks for the
 /// command at every control step.
 pub(crate) const ABANDON_DEADLINE: Duration = Duration::from_secs(5);

@@ -228,7 +228,7 @@ fn claim_of(worker: usize, number: usize, warm: Option<usize>) -> ClaimRequest {
         worker: worker_info(worker).id,
         claim: format!("{worker:016x}{number:016x}"),
         warm_task: warm.map(|task| format!("libero_object/{task}")),
-        lacking_tasks: Default::default(),
+        means: Default::default(),
     }
 }
 

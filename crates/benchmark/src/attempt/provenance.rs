@@ -33,6 +33,9 @@ pub const MAX_TEXT_BYTES: usize = 512;
 /// adds: `execute`, `horizon`, and two about the execution model.
 pub const MAX_SETTINGS: usize = 68;
 
+/// Most packages of another simulator.
+pub const MAX_PACKAGES: usize = 512;
+
 /// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
 
@@ -77,6 +80,10 @@ pub struct Provenance {
     /// the server takes no seed. "single" without a gateway.
     pub batch_mode: String,
     pub program_version: String,
+    /// Another simulator, and its graphics driver, as `simulator` and `driver`, and version and
+    /// digest of each of its packages; empty for LIBERO.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub simulator: BTreeMap<String, String>,
 }
 
 /// Digests by which the rollouts of one initial state are compared, SHA-256, hex.
@@ -153,6 +160,7 @@ impl Provenance {
             ("policy_name", &self.policy_name),
         ];
         let settings = self.policy_settings.iter().flat_map(|(name, value)| [name, value]);
+        let simulator = self.simulator.iter().flat_map(|(name, value)| [name, value]);
         let mut texts = required
             .into_iter()
             .chain([
@@ -162,7 +170,8 @@ impl Provenance {
                 ("batch_mode", &self.batch_mode),
                 ("program_version", &self.program_version),
             ])
-            .chain(settings.map(|text| ("policy_settings", text)));
+            .chain(settings.map(|text| ("policy_settings", text)))
+            .chain(simulator.map(|text| ("simulator", text)));
         if let Some((field, _)) = texts.find(|(_, text)| text.len() > MAX_TEXT_BYTES) {
             return Some(format!("`{field}` is longer than {MAX_TEXT_BYTES} bytes"));
         }
@@ -174,6 +183,11 @@ impl Provenance {
             return Some(format!(
                 "`policy_settings` has {settings} entries; it may have at most {MAX_SETTINGS}"
             ));
+        }
+        // The simulator's name and its driver are beside the packages.
+        let (entries, most) = (self.simulator.len(), MAX_PACKAGES + 2);
+        if entries > most {
+            return Some(format!("`simulator` has {entries} entries; it may have at most {most}"));
         }
         if let Err(error) = self.realisation.parse::<Realisation>() {
             return Some(format!("`realisation`: {error}"));

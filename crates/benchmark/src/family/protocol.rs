@@ -148,13 +148,13 @@ impl Protocol {
         }
     }
 
-    /// Returns the step budget of the policy in a suite; `Own` has that of `Long`.
+    /// Returns the step budget of the policy in a suite; suites that are not LIBERO's have that of `Long`.
     pub const fn budget(&self, suite: Suite) -> u32 {
         match suite {
             Suite::Spatial => self.budgets[0],
             Suite::Object => self.budgets[1],
             Suite::Goal => self.budgets[2],
-            Suite::Long | Suite::Own => self.budgets[3],
+            Suite::Long | Suite::Own | Suite::Simulated => self.budgets[3],
         }
     }
 }

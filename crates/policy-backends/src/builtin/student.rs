@@ -222,7 +222,11 @@ mod tests {
             vec![1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0],
             vec![0.02, -0.02],
         ];
-        let reading = |(field, values): (&i32, Vec<f64>)| StateReading { field: *field, values };
+        let reading = |(field, values): (&i32, Vec<f64>)| StateReading {
+            field: *field,
+            values,
+            ..StateReading::default()
+        };
         Observation {
             images: described.cameras.iter().map(image).collect(),
             state: described.state.iter().zip(values).map(reading).collect(),

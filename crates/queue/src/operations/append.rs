@@ -64,8 +64,11 @@ impl Queue {
             ));
         };
         let added = rows.iter().map(|new| &new.row);
-        // The first row has the protocol and the execution model that all rows share.
-        let tasks = own.first().into_iter().chain(added).map(TaskKey::of_row).collect();
+        // The first row has the protocol and the execution model that all rows share. The numbers of
+        // other simulators' tasks must be those of the campaign.
+        let simulated = own.iter().filter(|row| row.simulator.is_some());
+        let named = own.first().into_iter().chain(simulated).chain(added);
+        let tasks = named.map(TaskKey::of_row).collect();
         let mut view = self.shared.store.read().await?;
         let present = campaigns::rows_of_tasks(&mut view, campaign.id, &tasks).await?;
         let budgets = match campaigns::source(&mut view, campaign.id).await? {

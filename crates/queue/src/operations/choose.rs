@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use benchmark::TaskKey;
+
 use super::context::Context;
 use crate::ids::{JobId, WorkerId};
 use crate::rules::choice::{WaitingTask, choose_task};
@@ -17,13 +19,22 @@ pub struct ClaimRequest {
     pub claim: String,
     /// Task whose compiled scene the slot holds.
     pub warm_task: Option<String>,
-    /// Keys of tasks whose files the worker lacks.
-    pub lacking_tasks: BTreeSet<String>,
+    pub means: Means,
 }
 
-impl ClaimRequest {
-    pub(super) fn has_files_of(&self, task: &str) -> bool {
-        !self.lacking_tasks.contains(task)
+/// Tasks that a worker can run.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Means {
+    /// Keys of tasks whose files the worker lacks.
+    pub lacking_tasks: BTreeSet<String>,
+    /// Simulators that the worker serves beside the one of its slots.
+    pub simulators: BTreeSet<String>,
+}
+
+impl Means {
+    pub(crate) fn suffice_for(&self, task: &str) -> bool {
+        let serves = |name| self.simulators.contains(name);
+        !self.lacking_tasks.contains(task) && TaskKey::simulator_of(task).is_none_or(serves)
     }
 }
 
@@ -43,10 +54,6 @@ pub(super) struct PendingClaim<'a> {
 pub(super) struct Avoided(BTreeSet<(String, String)>);
 
 impl Avoided {
-    pub(super) fn is_empty(&self) -> bool {
-        self.0.is_empty()
-    }
-
     pub(super) fn contains(&self, task: &str, machine: &str) -> bool {
         self.0.contains(&(task.to_owned(), machine.to_owned()))
     }
@@ -86,7 +93,7 @@ impl Context<'_> {
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
         for claim in pending.iter_mut() {
-            claim.exhausted.clone_from(&claim.request.lacking_tasks);
+            claim.exhausted.clear();
         }
         while grants.len() < room && !pending.is_empty() {
             let is_warm = |claim: &PendingClaim<'_>| claim.warm().is_some();
@@ -141,7 +148,7 @@ impl Context<'_> {
         let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
         let asked_by = |claim: &PendingClaim<'_>| -> Vec<Asked> {
             let tasks = tasks.iter().map(|waiting| waiting.task.as_str());
-            let runnable = tasks.filter(|task| claim.request.has_files_of(task));
+            let runnable = tasks.filter(|task| claim.request.means.suffice_for(task));
             runnable.map(|task| avoided.ask(task, claim.machine)).collect()
         };
         let demand: BTreeSet<Asked> = pending.iter().flat_map(asked_by).collect();
@@ -179,7 +186,7 @@ impl Context<'_> {
         let avoided = self.avoided(campaign).await?;
         let mut asked = Vec::new();
         for (place, claim) in pending.iter().enumerate() {
-            let runnable = tasks.iter().filter(|task| claim.request.has_files_of(task));
+            let runnable = tasks.iter().filter(|task| claim.request.means.suffice_for(task));
             asked.extend(runnable.map(|task| {
                 let avoids = avoided.contains(task, claim.machine);
                 (*task, avoids.then_some(claim.machine), place)
@@ -210,7 +217,11 @@ impl PendingClaim<'_> {
     /// Returns the task whose scene the slot holds, unless that task is exhausted.
     fn warm(&self) -> Option<&str> {
         let warm = self.request.warm_task.as_deref();
-        warm.filter(|task| !self.exhausted.contains(*task))
+        warm.filter(|task| self.is_open(task))
+    }
+
+    fn is_open(&self, task: &str) -> bool {
+        !self.exhausted.contains(task) && self.request.means.suffice_for(task)
     }
 
     /// Returns the task to serve this claim from: its warm task, or else the task that
@@ -219,7 +230,7 @@ impl PendingClaim<'_> {
         if let Some(warm) = self.warm() {
             return Some(warm.to_owned());
         }
-        let is_open = |task: &&WaitingTask| !self.exhausted.contains(&task.task);
+        let is_open = |task: &&WaitingTask| self.is_open(&task.task);
         let open: Vec<WaitingTask> = tasks.iter().filter(is_open).cloned().collect();
         let chosen = choose_task(&open)?.task.clone();
         let counted = tasks.iter_mut().find(|task| task.task == chosen);

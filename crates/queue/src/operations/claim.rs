@@ -18,7 +18,7 @@ use crate::store::claims::{self, Grant, LeasedJob, Term};
 use crate::store::workers::Standing;
 use crate::store::{StoreError, policies, workers};
 
-pub use super::choose::ClaimRequest;
+pub use super::choose::{ClaimRequest, Means};
 
 /// Longest time that a claim waits for a job.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
@@ -104,8 +104,7 @@ impl Context<'_> {
                 continue;
             }
             let idle_reason = self.idle_reason(&pin).await?;
-            let is_lacking = pending.iter().any(|claim| !claim.request.lacking_tasks.is_empty());
-            let unserved = self.unserved(&pin, is_lacking).await?;
+            let unserved = self.unserved(&pin).await?;
             for claim in pending {
                 let reasons = unserved.iter().filter_map(|unserved| unserved.reason(&claim));
                 let reasons = Some(idle_reason.clone()).into_iter().chain(reasons);
@@ -117,7 +116,7 @@ impl Context<'_> {
     }
 
     /// Returns the standings of the claiming workers, and records new claims as signs of life, and
-    /// the tasks whose files the workers lack.
+    /// the tasks that the workers can run.
     async fn standings(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -131,9 +130,8 @@ impl Context<'_> {
             workers::record_calls(&mut self.tx, &workers, self.now).await?;
         }
         let known = new.into_iter().filter(|request| standings.contains_key(&request.worker));
-        let record = |request: &ClaimRequest| {
-            self.shared.lacking.record(&request.worker, &request.lacking_tasks)
-        };
+        let record =
+            |request: &ClaimRequest| self.shared.means.record(&request.worker, &request.means);
         if known.map(record).fold(false, |has_changed, record| has_changed | record) {
             // A job that was left to one of these workers may suit others now.
             self.shared.work.notify_waiters();
@@ -324,8 +322,8 @@ impl Context<'_> {
     }
 
     /// Returns the campaigns that may lease to workers of a pin, with those of their waiting tasks
-    /// that claims may not be served from. `is_lacking` is true if workers lack files.
-    async fn unserved(&mut self, pin: &Pin, is_lacking: bool) -> Result<Vec<Unserved>, StoreError> {
+    /// that claims may not be served from.
+    async fn unserved(&mut self, pin: &Pin) -> Result<Vec<Unserved>, StoreError> {
         let mut unserved = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
             let may_lease = campaign.accepts(pin)
@@ -335,11 +333,9 @@ impl Context<'_> {
                 continue;
             }
             let avoided = self.avoided(campaign).await?;
-            if is_lacking || !avoided.is_empty() {
-                let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
-                let tasks = tasks.into_iter().map(|waiting| waiting.task).collect();
-                unserved.push(Unserved { campaign: campaign.name.clone(), tasks, avoided });
-            }
+            let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+            let tasks = tasks.into_iter().map(|waiting| waiting.task).collect();
+            unserved.push(Unserved { campaign: campaign.name.clone(), tasks, avoided });
         }
         Ok(unserved)
     }
@@ -357,11 +353,11 @@ impl Unserved {
     fn reason(&self, claim: &PendingClaim<'_>) -> Option<String> {
         let Unserved { campaign, tasks, avoided } = self;
         let first = tasks.first()?;
-        let has_files = |task: &&String| claim.request.has_files_of(task);
-        let mut runnable = tasks.iter().filter(has_files).peekable();
+        let can_run = |task: &&String| claim.request.means.suffice_for(task);
+        let mut runnable = tasks.iter().filter(can_run).peekable();
         if runnable.peek().is_none() {
-            let files = missing_files(first, tasks.len(), "this worker");
-            return Some(format!("campaign `{campaign}` needs {files}"));
+            let missing = missing_means(first, tasks.len(), "this worker");
+            return Some(format!("campaign `{campaign}` needs {missing}"));
         }
         runnable.all(|task| avoided.contains(task, claim.machine)).then(|| {
             format!(
@@ -372,9 +368,15 @@ impl Unserved {
     }
 }
 
-/// Describes the files that workers (`who`) lack for each of a number of tasks, by the example of
-/// the first task.
-pub(crate) fn missing_files(first: &str, tasks: usize, who: &str) -> String {
+/// Describes the files or the simulator that workers (`who`) lack for each of a number of tasks, by
+/// the example of the first task.
+pub(crate) fn missing_means(first: &str, tasks: usize, who: &str) -> String {
+    if let Some(name) = TaskKey::simulator_of(first) {
+        return format!(
+            "simulator `{name}`, which {who} lacks; start a worker with `--simulator \
+             {name}=COMMAND`, whose log says whether it can be used"
+        );
+    }
     let others = match tasks {
         1 => "",
         _ => " and others",
@@ -436,7 +438,7 @@ mod tests {
             worker: WorkerId("a".to_owned()),
             claim: String::new(),
             warm_task: None,
-            lacking_tasks: tasks.clone().into(),
+            means: Means { lacking_tasks: tasks.clone().into(), ..Means::default() },
         };
         let reason = |tasks: &[String], request: &ClaimRequest| {
             let campaign = CampaignName::parse("c").expect("a name");
@@ -449,7 +451,12 @@ mod tests {
         assert_eq!(reason(&tasks[..1], &request).as_deref(), Some(one));
         let several = format!("{one} and others");
         assert_eq!(reason(&tasks, &request), Some(several));
-        request.lacking_tasks.remove(&tasks[1]);
+        request.means.lacking_tasks.remove(&tasks[1]);
         assert_eq!(reason(&tasks, &request), None);
+        let simulated = ["simulated/metaworld/reach-v3".to_owned()];
+        let missing = reason(&simulated, &request).expect("a reason");
+        assert!(missing.contains("`--simulator metaworld=COMMAND`"), "{missing}");
+        request.means.simulators.insert("metaworld".to_owned());
+        assert_eq!(reason(&simulated, &request), None);
     }
 }

@@ -102,7 +102,7 @@ impl<'a> Context<'a> {
     ) -> Result<BTreeSet<String>, StoreError> {
         let live = self.live().await?;
         let able = live.iter().filter(|worker| {
-            campaign.accepts(&worker.pin) && self.shared.lacking.has_files(&worker.id, task)
+            campaign.accepts(&worker.pin) && self.shared.means.suffice_for(&worker.id, task)
         });
         Ok(able.map(|worker| worker.machine.clone()).collect())
     }

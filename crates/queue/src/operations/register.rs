@@ -23,7 +23,7 @@ impl Queue {
         let inherited = inherited_failures(in_a_row);
         workers::upsert(&mut context.tx, worker, inherited, context.now).await?;
         let live = context.live().await?;
-        context.shared.lacking.retain(&live);
+        context.shared.means.retain(&live);
         let idle_reason = context.idle_reason(&worker.pin).await?;
         context.commit().await?;
         // A job that failed on the other machines may suit the new worker.

@@ -9,7 +9,7 @@ use rand_chacha::rand_core::Rng;
 use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
-use super::lacking::LackingTasks;
+use super::means::MeansOfWorkers;
 use super::unfilmed::UnfilmedRollouts;
 use crate::clock::{Clock, UnixMillis};
 use crate::remote_storage::RemoteStorage;
@@ -27,8 +27,8 @@ pub(crate) struct Shared {
     /// Held while a video is added to the data folder or removed from it.
     pub(crate) files: tokio::sync::Mutex<()>,
     pub(super) films: UnfilmedRollouts,
-    /// Tasks whose files workers lack.
-    pub(crate) lacking: Arc<LackingTasks>,
+    /// Tasks that workers can run.
+    pub(crate) means: Arc<MeansOfWorkers>,
     /// Remote storage of videos, if configured.
     pub(crate) remote_storage: Option<Arc<dyn RemoteStorage>>,
     /// Notified when jobs may have become leasable.
@@ -59,7 +59,7 @@ impl Shared {
             cache: tokio::sync::Mutex::default(),
             files: tokio::sync::Mutex::default(),
             films: UnfilmedRollouts::default(),
-            lacking: Arc::default(),
+            means: Arc::default(),
             remote_storage,
             work: Notify::new(),
             passed_over: AtomicBool::new(false),

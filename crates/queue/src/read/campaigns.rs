@@ -9,7 +9,7 @@ use sqlx::SqliteConnection;
 use super::View;
 use crate::clock::{UnixMillis, rfc3339};
 use crate::ids::{CampaignId, CampaignName};
-use crate::operations::claim::missing_files;
+use crate::operations::claim::missing_means;
 use crate::operations::error::{QueueError, unknown_campaign};
 use crate::rules::campaign::CampaignState;
 use crate::rules::outage::PolicyState;
@@ -183,20 +183,20 @@ impl View {
     }
 
     /// Returns the reason why none of these workers can run a campaign's waiting jobs, although
-    /// they meet its requirements: they lack files. `None` if there is no such reason.
-    async fn files_reason(
+    /// they meet its requirements: they lack files or a simulator. `None` if there is no such reason.
+    async fn means_reason(
         &mut self,
         campaign: CampaignId,
         able: &[&Live],
     ) -> Result<Option<String>, StoreError> {
         let tasks = claims::queued_tasks(self.tx(), campaign).await?;
-        let has_files =
-            |task: &String| able.iter().any(|worker| self.lacking.has_files(&worker.id, task));
-        let Some(first) = tasks.first().filter(|_| !tasks.iter().any(has_files)) else {
+        let is_able =
+            |task: &String| able.iter().any(|worker| self.means.suffice_for(&worker.id, task));
+        let Some(first) = tasks.first().filter(|_| !tasks.iter().any(is_able)) else {
             return Ok(None);
         };
-        let files = missing_files(first, tasks.len(), "every live worker");
-        Ok(Some(format!("no worker suits: the campaign needs {files}")))
+        let missing = missing_means(first, tasks.len(), "every live worker");
+        Ok(Some(format!("no worker suits: the campaign needs {missing}")))
     }
 
     async fn status_among(
@@ -235,7 +235,7 @@ impl View {
             (true, None, None) if able.is_empty() => {
                 Some(no_worker_reason(&campaign.demand(), live.first().map(|live| &live.pin)))
             }
-            (true, None, None) => self.files_reason(campaign.id, &able).await?,
+            (true, None, None) => self.means_reason(campaign.id, &able).await?,
         };
         let is_settled = remaining == 0.0;
         let state = match campaign.state {

@@ -60,6 +60,12 @@ pub(crate) fn difference(
 ) -> Option<String> {
     let difference = difference_in_campaign(demand, &result.origin)
         .or_else(|| difference_in_row(demand.row, &result.realised));
+    // Other simulators need not repeat a reset of the same seed, which the report says.
+    if demand.row.simulator.is_some() {
+        return difference
+            .or_else(|| difference_in_packages(siblings, &result.digests))
+            .or_else(|| difference_in_perturbation(demand, siblings, &result.realised));
+    }
     // Variants of a task have scenes, initial states and pictures of their own.
     if demand.row.id.variant().is_some() {
         return difference;
@@ -100,6 +106,19 @@ fn difference_in_scene(siblings: &[Sibling], digests: &Digests) -> Option<String
         let (value, other_value) = (&digests.init_state, &other.init_state);
         differs("initial-state digest", value, other_value, &place)
     })
+}
+
+/// The scene of another simulator's task is identified by the task and the simulator's packages.
+fn difference_in_packages(siblings: &[Sibling], digests: &Digests) -> Option<String> {
+    let sibling = siblings.first()?;
+    let place = sibling_place(sibling);
+    let difference = differs(
+        "digest of the simulator's packages",
+        &digests.scene,
+        &sibling.digests.scene,
+        &place,
+    );
+    difference.map(|text| format!("{text}: install the same packages on all machines"))
 }
 
 fn difference_in_perturbation(
@@ -368,5 +387,19 @@ mod tests {
         );
         assert_eq!(with_other_origin(|provenance| provenance.fingerprint = hex('e')), None);
         assert!(with_other_origin(|_| ()).is_some());
+    }
+
+    #[test]
+    fn siblings_in_another_simulator_share_its_packages_but_not_always_their_state() {
+        let rows = benchmark::manifest::parse(r#"{"simulator": "s", "task": "t", "seed": 0}"#);
+        let row = &rows.expect("a valid row").remove(0);
+        let demand = Demand { realisation: Realisation::Matched, row };
+        let siblings = [sibling("sim/t0/nominal/i00", &[], "")];
+        let mut result = siblings[0].clone();
+        result.digests.init_state = hex('3');
+        assert_eq!(difference(&demand, &siblings, &result), None);
+        result.digests.scene = hex('3');
+        let text = difference(&demand, &siblings, &result).expect("other packages");
+        assert!(text.contains("install the same packages on all machines"), "{text}");
     }
 }

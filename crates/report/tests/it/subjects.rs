@@ -35,6 +35,7 @@ pub(crate) fn provenance(mujoco_version: &str, batch_mode: &str) -> Provenance {
         policy_settings: [("executed".to_owned(), "8".to_owned())].into(),
         batch_mode: batch_mode.to_owned(),
         program_version: "0.1.0".to_owned(),
+        simulator: Default::default(),
     }
 }
 

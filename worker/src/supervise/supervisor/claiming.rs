@@ -11,7 +11,7 @@ use tonic::{Code, Status};
 use transport::chain;
 
 use super::Supervisor;
-use crate::assets::ProvideError;
+use crate::assets::{ProvideError, Provider};
 use crate::ids::random_id;
 use crate::message::{
     Assignment, Failure, FailureKind, Session, SlotCommand, VideoOf, VideoRequest,
@@ -34,6 +34,7 @@ impl Supervisor {
             claim_id: random_id().to_string(),
             warm_task: last.map_or_else(String::new, |last| TaskKey::of_row(&last.row)),
             lacking_tasks: self.lacking_keys().into_iter().collect(),
+            simulators: self.config.simulators.clone(),
             ..ClaimRequest::default()
         };
         let (link, events) = (self.link.clone(), self.events.clone());
@@ -116,8 +117,9 @@ impl Supervisor {
         let last = self.slots[slot].assignment.as_ref();
         let is_warm = last.is_some_and(|last| have_the_same_files(&last.row, &row));
         let provider = self.config.provider.clone();
-        let Some(provider) = provider.filter(|provider| !is_warm && provider.is_needed(&row))
-        else {
+        let is_needed =
+            |provider: &Provider| row.simulator.is_none() && !is_warm && provider.is_needed(&row);
+        let Some(provider) = provider.filter(is_needed) else {
             return self.begin(slot, assignment, campaign, now);
         };
         let attempt = assignment.attempt;
@@ -219,6 +221,8 @@ impl Supervisor {
             policy_seed: lease.policy_seed,
             // A policy that hangs must time out before its slot does.
             policy_deadline: POLICY_CALL_DEADLINE.min(self.timing.progress_timeout / 2),
+            // So must a simulator, which may load its libraries first.
+            simulator_deadline: self.timing.progress_timeout * 3 / 4,
             video: lease.record_video.then_some(video),
             keep_actions: lease.keep_actions,
             row,

@@ -28,6 +28,7 @@ fn supervisor_with(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
         slot_program: SlotProgram { program: "cat".into(), arguments: Vec::new() },
         provider: None,
         lacking_tasks: Vec::new(),
+        simulators: Vec::new(),
         policy_endpoint: None,
         drain: None,
         idle: None,
