@@ -53,7 +53,7 @@ def link_suite(unpacked: Path, suite: str) -> None:
     """Links the BDDL files and initial states of one of LIBERO's suites into the folder of unpacked
     task files."""
     for kind in _FOLDERS.values():
-        (unpacked / kind / suite).symlink_to(Path("..") / kind / suite)
+        (unpacked / kind / suite).symlink_to(Path("../../libero") / kind / suite)
 
 
 def libero_suite_names() -> list[str]:
