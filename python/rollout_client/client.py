@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -118,6 +118,34 @@ class Client:
         )
         answer = self._connection.call("Forecast", request)
         return Forecast.of(rollouts, answer)
+
+    def gate(
+        self,
+        policies: str | Sequence[str],
+        against: str,
+        *,
+        conditions: Sequence[str] = ("nominal",),
+        margin: float = 2.0,
+        budget: int | None = None,
+        endpoint: str | None = None,
+        name: str | None = None,
+    ) -> dict[str, Any]:
+        """Has connected workers run rollouts of a policy, or of checkpoints in the order of their
+        training, until it is known whether its success is lower than that of the finished campaign
+        `against` by more than `margin` points. Returns the JSON of `coordinator gate`
+        (docs/JSON.md): each decision has a `verdict`, `not_worse`, `worse`, or `undecided` within
+        `budget` rollouts. Raises RefusedError if the policies cannot be compared."""
+        names = [policies] if isinstance(policies, str) else policies
+        flags = ["--policy", ",".join(names), "--against", against, "--margin", str(margin)]
+        flags += ["--conditions", ",".join(conditions), "--json"]
+        for flag, value in (("--budget", budget), ("--endpoint", endpoint), ("--name", name)):
+            if value is not None:
+                flags += [flag, str(value)]
+        answer = self._program.run(
+            *self._program.with_connection("gate", *flags), codes=(0, 1, 2)
+        )
+        decided: dict[str, Any] = json.loads(answer)
+        return decided
 
     def workers(self) -> pd.DataFrame:
         """Returns a row per worker, including workers that have ended, latest calls first; at most

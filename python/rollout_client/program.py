@@ -6,6 +6,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections.abc import Container
 from pathlib import Path
 
 from .access import Access
@@ -21,10 +22,12 @@ class Program:
         self._given_path = path
         self._access = access
 
-    def run(self, *arguments: str | Path, text: str | None = None) -> str:
+    def run(
+        self, *arguments: str | Path, text: str | None = None, codes: Container[int] = (0,)
+    ) -> str:
         """Runs the program with these arguments, and with `text` as its input. Returns its output.
         Raises ProgramError if the program is missing, and RefusedError, with the program's message,
-        if it fails."""
+        if it ends with another exit code than `codes`."""
         command = [self._path(), *map(str, arguments)]
         try:
             done = subprocess.run(command, input=text, capture_output=True, text=True)
@@ -33,7 +36,7 @@ class Program:
                 f"failed to run {command[0]}: {error.strerror}; name the program in"
                 " Client(program=…)"
             ) from error
-        if done.returncode != 0:
+        if done.returncode not in codes:
             message = done.stderr.strip().removeprefix("error: ")
             raise RefusedError(message or f"{' '.join(command)} ended with {done.returncode}")
         return done.stdout

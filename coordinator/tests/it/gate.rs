@@ -1,5 +1,6 @@
 //! `coordinator gate` decides by its exit code, and continues where it was.
 
+use std::collections::BTreeSet;
 use std::time::Instant;
 
 use benchmark::RolloutId;
@@ -8,6 +9,7 @@ use proto::coordinator::commit_response::Verdict;
 use serde_json::Value;
 
 use crate::harness::{Worker, rollout_id};
+use crate::json_keys::{documented, keys};
 use crate::process::{Serve, coordinator, succeed, text};
 use crate::search::{PATIENCE, run_all};
 
@@ -78,6 +80,9 @@ async fn the_exit_code_is_the_decision_and_the_same_command_continues() {
     let (code, answer) = gate(&serve, &mut worker, &few, is_fragile).await;
     assert_eq!((code, &answer["decisions"][0]["rollouts"]), (2, &Value::from(40)), "{answer}");
     let (code, answer) = gate(&serve, &mut worker, &nominal, is_fragile).await;
+    let mut found = BTreeSet::new();
+    keys(&answer, "", &mut found);
+    assert_eq!(found, documented("gate"));
     let decision = &answer["decisions"][0];
     assert_eq!((code, &decision["verdict"]), (0, &Value::from("not_worse")), "{answer}");
     assert!(decision["rollouts"].as_u64().is_some_and(|rollouts| rollouts < 500), "{answer}");

@@ -55,6 +55,15 @@ def test_rates_of_a_report_are_those_of_the_results(measured):
     assert (success["missing"] == 0).all()
 
 
+def test_a_gate_returns_what_it_decided(measured):
+    # The campaign is compared with itself, so that nothing need be run.
+    decided = measured.gate("expert", "measured", name="measured")
+    assert decided["first_worse"] is None
+    assert [decision["verdict"] for decision in decided["decisions"]] == ["undecided"]
+    with pytest.raises(RefusedError, match="nobody"):
+        measured.gate("expert", "published:nobody")
+
+
 def test_the_notebook_makes_the_tables_of_a_paper(programs, monkeypatch):
     root = PUBLISHED.parents[1]
     monkeypatch.chdir(root)
