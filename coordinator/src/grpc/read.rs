@@ -88,7 +88,8 @@ pub(super) fn film_pin(request: wire::NextFilmRequest) -> Result<Pin, Status> {
     })
 }
 
-/// Reads a reported result. Its texts become printable, because programs and pages show them.
+/// Reads a reported result. The texts of its provenance become printable. The prompt is stored as the
+/// policy got it; programs make it printable when they show it.
 pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Status> {
     let text = &request.measurement;
     let unreadable = |error: serde_json::Error| {
@@ -99,9 +100,7 @@ pub(super) fn commit(request: wire::CommitRequest) -> Result<CommitReport, Statu
         let field = shortened(field, MAX_QUOTED_BYTES).to_owned();
         invalid(format!("read `measurement` after `{field}`: {}", json_problem(error)))
     };
-    let Measurement { mut result, provenance } =
-        Measurement::from_json(text).map_err(unreadable)?;
-    result.prompt = result.prompt.map(|prompt| printable(&prompt).into_owned());
+    let Measurement { result, provenance } = Measurement::from_json(text).map_err(unreadable)?;
     let provenance = serde_json::to_value(provenance).map(printable_texts);
     let provenance: Provenance = provenance.and_then(serde_json::from_value).map_err(unreadable)?;
     if let Some(problem) = result.problem().or_else(|| provenance.problem()) {
