@@ -243,7 +243,7 @@ fn a_bound_of_chance_is_stated_only_if_nearly_identical_rollouts_end_differently
     for (language, is_bounded) in [(S, false), (F, true)] {
         let text = sentences(language);
         assert!(text.contains("unknown without a placebo"), "{text}");
-        assert_eq!(text.contains("chance of that size"), is_bounded, "{text}");
+        assert_eq!(text.contains("chance that changes so many"), is_bounded, "{text}");
     }
 }
 
