@@ -43,6 +43,7 @@ use proto::coordinator::change_campaign_request::Change;
 use tokio::runtime::Runtime;
 
 use command::CommandError;
+pub(crate) use gate::NOT_COMPARABLE;
 
 /// Creates campaigns, leases their rollouts to workers, stores the results and reports them.
 #[derive(Debug, Parser)]

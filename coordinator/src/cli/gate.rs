@@ -30,8 +30,8 @@ use super::watch::LOG_PERIOD;
 const WAITING: u64 = 64;
 /// Prefix of `--against` for a policy of the paper.
 const PUBLISHED: &str = "published:";
-/// Exit code if the policies cannot be compared.
-const NOT_COMPARABLE: u8 = 3;
+/// Exit code if the policies cannot be compared, or the command is mistyped.
+pub(crate) const NOT_COMPARABLE: u8 = 3;
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\

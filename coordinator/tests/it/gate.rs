@@ -102,6 +102,7 @@ async fn the_exit_code_is_the_decision_and_the_same_command_continues() {
     for (wrong, reason) in [
         (["--against", "published:nobody"], "it measured π0.5, OpenVLA-OFT"),
         (["--against", "absent"], "absent"),
+        (["--againts", "first"], "unexpected argument"),
     ] {
         let output = serve.command(&[&["gate", "--policy", "q"], &wrong[..]].concat());
         assert_eq!(output.status.code(), Some(3), "{reason}");
