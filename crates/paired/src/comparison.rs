@@ -46,12 +46,14 @@ pub struct Compared<'a> {
     pub progress: &'a [Progress],
     /// Assignment of directions to configurations in the policy's campaign.
     pub directions: Directions,
+    /// True if the caller knows the rows that were run, so that it compares the perturbed axes.
+    pub has_rows: bool,
 }
 
 /// Records without progress, of a campaign whose tasks share their directions.
 impl<'a> From<&'a [Record]> for Compared<'a> {
     fn from(records: &'a [Record]) -> Self {
-        Self { records, progress: &[], directions: Directions::Shared }
+        Self { records, progress: &[], directions: Directions::Shared, has_rows: false }
     }
 }
 
@@ -130,6 +132,7 @@ impl Comparison {
             by_key.collect::<BTreeMap<Key, &Progress>>()
         });
         let axes = policies.map(|policy| axes(policy.records));
+        let has_rows = policies.iter().all(|policy| policy.has_rows);
         let mut comparison = Self {
             directions: match policies.map(|policy| policy.directions) {
                 [Directions::Own, Directions::Own] => Directions::Own,
@@ -144,10 +147,13 @@ impl Comparison {
                 continue;
             };
             let id = record.id;
-            // Without rollouts under single axes, the records do not tell which axes are combined.
-            let combined = axes[0].get(&id.level()).zip(axes[1].get(&id.level()));
+            // Without rollouts under single axes, records do not tell which axes are combined, but
+            // rows do.
+            let combined = axes.each_ref().map(|axes| axes.get(&id.level()));
+            let is_told = combined.iter().all(Option::is_some) || !has_rows;
             let reason = if id.condition() == Condition::Simultaneous
-                && combined.is_some_and(|(a, b)| a != b)
+                && is_told
+                && combined[0] != combined[1]
             {
                 Some(Obstacle::Axes)
             } else if record.init_id != record_b.init_id {

@@ -93,6 +93,7 @@ impl Comparison {
             records: analysis.counted(),
             progress: &analysis.subject.progress,
             directions: analysis.subject.directions,
+            has_rows: !analysis.subject.setups.rollouts.is_empty(),
         });
         let statistics = paired::Comparison::of(compared_a, compared_b, &bootstrap, |record| {
             match placebos_differ && record.id.is_placebo() {

@@ -3,8 +3,8 @@
 
 use benchmark::{Axis, Condition, Level, RolloutId};
 use paired::{
-    Bootstrap, Comparison, Difference, DifferenceBounds, NoInterval, Obstacle, Outcome, Pair,
-    Record,
+    Bootstrap, Compared, Comparison, Difference, DifferenceBounds, NoInterval, Obstacle, Outcome,
+    Pair, Record,
 };
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -157,6 +157,16 @@ fn rollouts_with_the_same_id_and_another_setup_are_not_paired_but_listed() {
     );
     let compared: Vec<_> = comparison.cells.iter().map(|cell| (cell.name(), cell.shared)).collect();
     assert_eq!(compared, [("L2 camera".to_owned(), 1)]);
+}
+
+#[test]
+fn simultaneous_rollouts_alone_are_paired_only_if_their_rows_are_known() {
+    let a = [record(CAMERA, 0, 7, S), record(Condition::Simultaneous, 0, 7, S)];
+    for has_rows in [false, true] {
+        let [a, b] = [&a[..], &a[1..]].map(|of| Compared { has_rows, ..Compared::from(of) });
+        let comparison = Comparison::of(a, b, &Bootstrap::default(), |_| None);
+        assert_eq!(comparison.unpaired.contains_key(&Obstacle::Axes), !has_rows);
+    }
 }
 
 #[test]

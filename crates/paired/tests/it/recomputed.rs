@@ -148,6 +148,7 @@ fn simulated_comparison(seed: u64) -> Value {
         records,
         progress,
         directions,
+        has_rows: false,
     });
     comparison(&format!("simulated comparison {seed}"), a, b)
 }

@@ -252,6 +252,7 @@ impl TwoPolicies {
             records,
             progress,
             directions: Directions::Shared,
+            has_rows: false,
         });
         Comparison::of(a, b, &Bootstrap::default(), |_| None)
     }
