@@ -4,8 +4,9 @@
     python -m training.collect --into data/driven --seconds 300 --driver student \\
         --weights runs/first/student.safetensors
 
-LIBERO's samplers place the objects of every episode; the benchmark's released initial states are
-never used. Earlier shards are kept: a further run adds shards with new seeds.
+LIBERO's samplers place the objects of every episode, except of those that begin in the states of
+``--capsules``: the benchmark's released initial states are not used. Earlier shards are kept: a
+further run adds shards with new seeds.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 import rollout_libero
+from rollout_libero import Capsule
 from rollout_libero.scenes import scene_of_task
 from training.drivers import AlternatingDrivers, Commands, ExpertDriver
 from training.network import ARM, CHUNK, PICTURE, STATE
@@ -50,6 +52,8 @@ GROUPS = 2
 WORDINGS = 200
 """Number of wordings of each task from which the student's instructions are drawn."""
 
+CAPSULE_SHARE = 0.5
+"""Share of a task's episodes that begin in the states of its capsules, if it has any."""
 SINGLE_AXES = ("camera", "lighting", "robot", "sensor", "actuation")
 SIMULTANEOUS_SHARE = 0.5
 """Share of the perturbed episodes that are perturbed on all five axes."""
@@ -169,6 +173,7 @@ class Group:
         *,
         steps_per_frame: int,
         perturbed: float,
+        capsules: Sequence[Capsule],
         threads: int,
         seed: Sequence[int],
         assets: str,
@@ -181,6 +186,7 @@ class Group:
         self._wordings = wordings
         self._steps_per_frame = steps_per_frame
         self._perturbed = perturbed
+        self._capsules = [[one for one in capsules if one.task == name] for name in names]
         self._device = device
         self._rng = np.random.default_rng(seed)
         self._env = rollout_libero.VectorEnvironment(
@@ -290,10 +296,18 @@ class Group:
             self._instructions[index] = wordings[number]
 
     def _perturb(self, index: int) -> None:
-        """Chooses the perturbation of the environment's next rollout."""
+        """Chooses the perturbation of the environment's next rollout, or the capsule in which it
+        begins."""
         chosen = ""
+        capsules = self._capsules[index]
         if self._rng.random() < self._perturbed:
             chosen = perturbation(self._rng)
+        elif capsules and self._rng.random() < CAPSULE_SHARE:
+            capsule = capsules[int(self._rng.integers(len(capsules)))]
+            steps = int(self._rng.integers(capsule.steps + 1))
+            self._env.set_perturbation(index, capsule.until(steps))
+            self._perturbations[index] = capsule.row["rollout_id"]
+            return
         if chosen or self._perturbations[index]:
             self._env.set_perturbation(index, chosen or None)
         self._perturbations[index] = chosen
@@ -439,6 +453,7 @@ def collect(arguments: argparse.Namespace) -> None:
                 wordings,
                 steps_per_frame=STEPS_PER_FRAME,
                 perturbed=arguments.perturbed,
+                capsules=Capsule.read(arguments.capsules) if arguments.capsules else [],
                 threads=arguments.threads,
                 seed=[arguments.seed, run, number],
                 assets=arguments.assets,
@@ -490,6 +505,11 @@ def main() -> None:
     parser.add_argument(
         "--perturbed", type=float, default=0.0, metavar="SHARE",
         help="share of perturbed episodes, 0 to 1",
+    )  # fmt: skip
+    parser.add_argument(
+        "--capsules", type=Path, metavar="FILE",
+        help="rollouts that `coordinator jobs --capsule` wrote: half the episodes of their tasks"
+        " begin at a random step of one, up to the last step that saves it",
     )  # fmt: skip
     parser.add_argument("--envs", type=int, default=100, help="number of environments")
     parser.add_argument("--threads", type=int, default=16, help="threads per group")

@@ -3,6 +3,7 @@
 ``Environment`` and ``VectorEnvironment`` are gymnasium's interfaces to LIBERO's tasks."""
 
 from rollout_libero._library import native as _native
+from rollout_libero.capsule import Capsule
 from rollout_libero.environment import Environment
 from rollout_libero.files import MissingAssetsError, fetch_assets
 from rollout_libero.tasks import Task, tasks
@@ -17,7 +18,7 @@ Schedule = _native.Schedule
 Snapshot = _native.Snapshot
 
 __all__ = [
-    "BusyError", "ClosedError", "Environment", "FilesError", "MissingAssetsError", "Schedule",
-    "SimulationError", "Snapshot", "Task", "TrainingEnvironment", "VectorEnvironment",
-    "fetch_assets", "tasks",
+    "BusyError", "Capsule", "ClosedError", "Environment", "FilesError", "MissingAssetsError",
+    "Schedule", "SimulationError", "Snapshot", "Task", "TrainingEnvironment",
+    "VectorEnvironment", "fetch_assets", "tasks",
 ]  # fmt: skip

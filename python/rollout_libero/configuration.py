@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollout_libero._library import native
+from rollout_libero.capsule import Capsule
 from rollout_libero.tasks import Task
 
 InitStates = str | int | Sequence[int]
@@ -18,9 +19,14 @@ InitStates = str | int | Sequence[int]
 states in turn."""
 
 
+Perturbation = str | Mapping[str, Any] | Capsule
+"""A configuration of LIBERO-CTRL, ``simultaneous/L2/c03``; a row of a manifest; or a finished
+rollout, after whose steps, and under whose perturbations, rollouts begin."""
+
+
 class Start(NamedTuple):
     row: str
-    """JSON for the simulator: a manifest row, or the seed of a sampled placement."""
+    """JSON for the simulator: a manifest row, the seed of a sampled placement, or a capsule."""
     init_state: int | None
     """None if LIBERO's samplers place the objects."""
     instruction: str
@@ -47,7 +53,7 @@ class Starts:
         *,
         settle_steps: int | None,
         max_steps: int | None,
-        perturbation: str | Mapping[str, Any] | None,
+        perturbation: Perturbation | None,
         absolute: bool,
         execution: str | None = None,
         rank: int = 0,
@@ -80,6 +86,8 @@ class Starts:
         """Returns the step budget of the next rollout."""
         if self._max_steps is not None:
             return self._max_steps
+        if self._capsule is not None:
+            return self._capsule.max_steps
         return self._task.max_steps if self._perturbed is None else self._perturbed["max_steps"]
 
     @property
@@ -87,10 +95,15 @@ class Starts:
         """The execution model of the next rollout: the given one, else that of the manifest row."""
         return self._execution_of(self._perturbed)
 
-    def perturb(self, perturbation: str | Mapping[str, Any] | None) -> None:
-        """Perturbs all later rollouts. Raises ValueError if the task has no such configuration, its
-        actuation axis distorts actions that are poses, or its execution model does not fit; the
-        previous perturbation stays in effect."""
+    def perturb(self, perturbation: Perturbation | None) -> None:
+        """Perturbs all later rollouts; with a capsule, they begin after its steps. Raises
+        ValueError if the task has no such configuration, its actuation axis distorts actions that
+        are poses, or its execution model does not fit; the previous perturbation stays in
+        effect."""
+        capsule = perturbation if isinstance(perturbation, Capsule) else None
+        if isinstance(perturbation, Capsule):
+            # The actions are those that were executed while answers were under way, too.
+            perturbation = {**perturbation.row, "execution": "wait"}
         row = None if perturbation is None else _row(self._task, perturbation)
         self._check_execution(self._execution_of(row))
         if row is not None:
@@ -101,7 +114,7 @@ class Starts:
                     "axis distorts displacements, and control='absolute' commands poses; use "
                     "control='relative', or a configuration without the actuation axis"
                 )
-        self._perturbed = row
+        self._perturbed, self._capsule = row, capsule
 
     def plan(
         self, generator: np.random.Generator, options: Mapping[str, Any], *, turn: int | None = None
@@ -112,6 +125,10 @@ class Starts:
         generator = copy.deepcopy(generator)
         turn = self._turn if turn is None else turn
         init_state = options.get("init_state")
+        if self._capsule is not None:
+            if init_state is not None:
+                raise ValueError("failed to choose an initial state: a capsule has its own")
+            return self._start(self._capsule.json(), self._capsule.row["init_id"], turn, generator)
         if init_state is not None:
             init_state = self._checked(init_state)
         elif self._chosen == "sampled":
@@ -120,7 +137,7 @@ class Starts:
                 "settle_steps": self._settle_steps_of(self._perturbed or self._nominal(0)),
                 "perturbed": self._perturbed,
             }
-            return self._start(sampled, None, turn, generator)
+            return self._start(json.dumps(sampled), None, turn, generator)
         if self._perturbed is not None:
             row = dict(self._perturbed)
             if init_state is not None:
@@ -134,17 +151,17 @@ class Starts:
             row = self._nominal(self._chosen[turn % len(self._chosen)])
             turn += self._stride
         row["num_steps_wait"] = self._settle_steps_of(row)
-        return self._start(row, row["init_id"], turn, generator)
+        return self._start(json.dumps(row), row["init_id"], turn, generator)
 
     def use(self, start: Start) -> None:
         """Advances the sequence past a start."""
         self._turn = start.turn
 
     def _start(
-        self, row: Mapping[str, Any], init_state: int | None, turn: int, generator: Any
+        self, row: str, init_state: int | None, turn: int, generator: Any
     ) -> Start:
         return Start(
-            json.dumps(row),
+            row,
             init_state,
             self.instruction,
             self.max_steps,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 from typing import Any, Literal, cast
 
@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from rollout_libero.configuration import InitStates
+from rollout_libero.configuration import InitStates, Perturbation
 from rollout_libero.observation import ACTION_WIDTH, CAMERAS, Observation, Orientation, Render
 from rollout_libero.vector import VectorEnvironment, VectorSnapshot
 
@@ -34,9 +34,9 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             (``num_steps_wait``), 10 in LIBERO-CTRL.
         max_steps: control steps after which a rollout is truncated; by default those of the
             configuration (``max_steps``), in LIBERO-CTRL the suite's.
-        perturbation: a configuration of LIBERO-CTRL, ``simultaneous/L2/c03``, or a row of a
-            manifest. It includes the instruction and, unless ``init_states="sampled"``, the
-            initial state.
+        perturbation: a configuration of LIBERO-CTRL, ``simultaneous/L2/c03``, a row of a manifest,
+            or a ``Capsule``. It includes the instruction and, unless ``init_states="sampled"``, the
+            initial state; a capsule always has its own state.
         control: ``"relative"`` (displacements, -1..1) or ``"absolute"`` (poses in the world
             frame: m, and axis times angle, rad), which cannot be combined with the actuation
             axis.
@@ -65,7 +65,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         init_states: InitStates = "cycle",
         settle_steps: int | None = None,
         max_steps: int | None = None,
-        perturbation: str | Mapping[str, Any] | None = None,
+        perturbation: Perturbation | None = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
         look: str | None = None,

@@ -2,8 +2,8 @@
 
 ``TrainingEnvironment`` can do more than ``VectorEnvironment``, which has gymnasium's interface: it
 runs the task of any BDDL file, and another task at each reset; starts from a given state, as the
-original's ``set_init_state`` does; executes chunks of actions past success; and accepts calls for
-some rows only."""
+original's ``set_init_state`` does, or in the middle of a finished rollout; executes chunks of
+actions past success; and accepts calls for some rows only."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rollout_libero import files, scenes
 from rollout_libero._library import native
+from rollout_libero.capsule import Capsule
 from rollout_libero.observation import (
     ACTION_WIDTH,
     CAMERAS,
@@ -74,7 +75,8 @@ class TrainingEnvironment:
             are contiguous, and new in each call, so ``torch.from_numpy`` can take them over.
         control: ``"relative"`` or ``"absolute"``, as in ``Environment``.
         settle_steps, settle_action: number of control steps before the first observation, and
-            their action.
+            their action. A capsule's rollout has settled in its own way.
+        failures: file of capsules, in whose states rollouts begin unless `reset` gets starts.
 
     Rows with equal starts in one call, that is, with the same task, state, seed and number of
     loads, are simulated only once until they have settled. If a row fails, the other rows finish;
@@ -95,6 +97,7 @@ class TrainingEnvironment:
         settle_steps: int = 10,
         settle_action: Sequence[float] = (0, 0, 0, 0, 0, 0, -1),
         look: str | None = None,
+        failures: str | PathLike[str] | None = None,
     ) -> None:
         if num_envs < 1:
             raise ValueError(f"failed to make {num_envs} environments: at least one is needed")
@@ -112,30 +115,40 @@ class TrainingEnvironment:
         self._absolute = is_absolute(control)
         self._settle = (settle_steps, [float(number) for number in settle_action])
         self.simulations: list[native.Simulation | None] = [None] * num_envs
+        self.failures = [] if failures is None else Capsule.read(failures)
+        self.starts: list[Start | Capsule | None] = [None] * num_envs
+        """Start of each row's rollout."""
+        self._generator = np.random.default_rng()
 
     def reset(
         self,
-        starts: Sequence[Start],
+        starts: Sequence[Start | Capsule] | None = None,
         rows: Sequence[int] | None = None,
         render: Literal["last", "none"] = "last",
+        *,
+        seed: int | None = None,
     ) -> Observation:
-        """Begins a rollout in each of the rows, by default in all, with a start for each. Returns
-        the observations of these rows, without frames if ``render="none"``. Raises
-        FileNotFoundError if files are missing; ValueError if there is no such task or row, or a
-        state is of another task.
+        """Begins a rollout in each of the rows, by default in all, with a start for each. By
+        default, each start is drawn from ``failures``, and its number of steps from those up to the
+        capsule's; ``seed`` seeds these draws. Returns the observations of these rows, without
+        frames if ``render="none"``. Raises FileNotFoundError if files are missing; ValueError if
+        there is no such task or row, a state is of another task, or a rollout does not repeat.
 
         After an error, other rows may have begun their rollouts, or lost their earlier ones."""
         rows = self._rows(rows)
+        if seed is not None:
+            self._generator = np.random.default_rng(seed)
+        if starts is None:
+            starts = [self._drawn() for _ in rows]
         if len(starts) != len(rows):
             raise ValueError(
                 f"failed to begin in {len(rows)} rows: {len(starts)} starts were given"
             )
         # All scenes are compiled before any row changes, as files may be missing.
-        compiled = [
-            scenes.scene(_bddl_file(start.task), self._assets, self._look) for start in starts
-        ]
-        for row, scene in zip(rows, compiled, strict=True):
+        compiled = [self._scene(start) for start in starts]
+        for row, scene, start in zip(rows, compiled, starts, strict=True):
             self._assign(row, scene)
+            self.starts[row] = start
         # Equal starts are simulated once, in the first row that has them.
         first: dict[tuple[str, str], int] = {}
         leader_of = [
@@ -210,6 +223,18 @@ class TrainingEnvironment:
                 simulation.close()
         self.simulations = [None] * self.num_envs
 
+    def _drawn(self) -> Capsule:
+        """Draws a start from the failures."""
+        if not self.failures:
+            raise ValueError("failed to begin: give starts, or make the environment with failures")
+        capsule = self.failures[int(self._generator.integers(len(self.failures)))]
+        return capsule.until(int(self._generator.integers(capsule.steps + 1)))
+
+    def _scene(self, start: Start | Capsule) -> native.Scene:
+        if isinstance(start, Capsule):
+            return scenes.scene_of_task(Task.of(start.task), self._assets, self._look)
+        return scenes.scene(_bddl_file(start.task), self._assets, self._look)
+
     def _assign(self, row: int, scene: native.Scene) -> None:
         """Gives a row a simulation of the scene, unless it has one."""
         simulation = self.simulations[row]
@@ -234,7 +259,9 @@ class TrainingEnvironment:
             raise ValueError(f"failed to choose rows {chosen}: rows are 0 to {self.num_envs - 1}")
         return chosen
 
-    def _start_json(self, start: Start) -> str:
+    def _start_json(self, start: Start | Capsule) -> str:
+        if isinstance(start, Capsule):
+            return start.json()
         steps, action = self._settle
         fields = {
             "legacy_seed": start.seed,

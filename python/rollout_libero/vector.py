@@ -17,7 +17,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from rollout_libero._library import native
-from rollout_libero.configuration import InitStates, Start, Starts
+from rollout_libero.capsule import Capsule
+from rollout_libero.configuration import InitStates, Perturbation, Start, Starts
 from rollout_libero.observation import (
     ACTION_WIDTH,
     CAMERAS,
@@ -89,9 +90,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         init_states: InitStates = "random",
         settle_steps: int | None = None,
         max_steps: int | Sequence[int] | None = None,
-        perturbation: (
-            str | Mapping[str, Any] | Sequence[str | Mapping[str, Any] | None] | None
-        ) = None,
+        perturbation: Perturbation | Sequence[Perturbation | None] | None = None,
         control: Literal["relative", "absolute"] = "relative",
         renderer: str = "software",
         look: str | None = None,
@@ -114,7 +113,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         sharing = Counter(task.name for task in self.tasks)
         ranks: Counter[str] = Counter()
         self.starts = []
-        perturbations = _each(perturbation, self.num_envs, "perturbation", str | Mapping)
+        perturbations = _each(perturbation, self.num_envs, "perturbation", str | Mapping | Capsule)
         budgets = _each(max_steps, self.num_envs, "max_steps", int)
         for task, scene, perturbed, budget in zip(
             self.tasks, scenes, perturbations, budgets, strict=True
@@ -327,7 +326,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             commands[at, : len(row)] = row
         return commands, schedules
 
-    def set_perturbation(self, index: int, perturbation: str | Mapping[str, Any] | None) -> None:
+    def set_perturbation(self, index: int, perturbation: Perturbation | None) -> None:
         """Changes an environment's perturbation, from its next rollout on. Raises ValueError if the
         task has no such configuration, or it does not fit the control or the execution model; the
         previous perturbation stays in effect."""

@@ -1,6 +1,7 @@
 """Collection from fake environments: observed, executed and stored values agree."""
 
 import argparse
+import json
 import os
 from pathlib import Path
 from typing import Any
@@ -41,7 +42,8 @@ class FakeEnvironments:
         self.perturbed = list(self.perturbed_next)
         return self.observation(), {}
 
-    def set_perturbation(self, index: int, chosen: str | None) -> None:
+    def set_perturbation(self, index: int, chosen: str | libero.Capsule | None) -> None:
+        assert not isinstance(chosen, libero.Capsule) or chosen.steps <= 12
         self.perturbed_next[index] = chosen
 
     def step_chunk(self, actions: Any, _render: str, *, expert: Any) -> tuple[Any, ...]:
@@ -86,7 +88,7 @@ def collect_shards(folder: Path, monkeypatch: pytest.MonkeyPatch, **changed: Any
     monkeypatch.setattr(collect, "compile_scenes", lambda *_: None)
     defaults: dict[str, Any] = {
         "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
-        "envs": 4, "threads": 1, "tasks": ["libero_goal"], "failures": None,
+        "envs": 4, "threads": 1, "tasks": ["libero_goal"], "failures": None, "capsules": None,
         "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
     collect.collect(argparse.Namespace(**(defaults | changed)))
@@ -133,6 +135,19 @@ def test_perturbations_differ_from_the_benchmarks(
         assert axis in (*collect.SINGLE_AXES, "simultaneous")
         assert 0.5 <= float(radius[1:]) <= 8
         assert 10 <= int(config[1:]) <= 999
+
+
+def test_half_the_episodes_of_a_capsules_task_begin_in_its_states(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    row = {"suite": "libero_goal", "task_id": 0, "rollout_id": "failed", "max_steps": 300}
+    record = {"manifest_row": row, "actions": [[0.0] * 7] * 20, "saved_until": 12}
+    file = tmp_path / "failures.capsules"
+    file.write_text(json.dumps(record) + "\n")
+    changed = {"tasks": ["libero_goal/0"], "capsules": file}
+    shards = collect_shards(tmp_path / "data", monkeypatch, **changed)
+    names = np.concatenate([shard.perturbation for shard in shards])
+    assert set(names) == {"", "failed"} and 0.3 < (names == "failed").mean() < 0.7
 
 
 def test_four_of_ten_environments_are_of_libero_10() -> None:

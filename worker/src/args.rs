@@ -323,10 +323,15 @@ pub struct VariantsArguments {
 
 /// A failing rollout and its policy.
 #[derive(Debug, Args)]
+#[command(group = ArgGroup::new("case").required(true).args(["id", "capsule"]))]
 pub struct RescueArguments {
     /// The rollout, perturbed, for example spatial/t0/simultaneous/L2/c00
     #[arg(long, value_name = "ID")]
-    pub id: RolloutId,
+    pub id: Option<RolloutId>,
+    /// The rollout as `coordinator jobs --capsule` wrote it, alone in its file, which receives the
+    /// last step that saves it
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["replicate", "realisation"])]
+    pub capsule: Option<PathBuf>,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url)]
     pub endpoint: String,
@@ -346,6 +351,9 @@ pub struct RescueArguments {
     /// elements under each condition, as the released code draws them.
     #[arg(long, value_name = "MODE", default_value = "matched")]
     pub realisation: Realisation,
+    /// Draws no film
+    #[arg(long)]
+    pub no_video: bool,
     /// Credentials for the policy.
     #[command(flatten)]
     pub access: ClientArguments,

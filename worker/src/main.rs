@@ -266,7 +266,7 @@ fn run_rollout(mut arguments: RolloutArguments) -> anyhow::Result<()> {
 }
 
 fn read_capsule(file: &Path) -> anyhow::Result<Capsule> {
-    let read = || Ok::<_, anyhow::Error>(serde_json::from_slice(&std::fs::read(file)?)?);
+    let read = || Ok::<_, anyhow::Error>(Capsule::read(&std::fs::read_to_string(file)?)?);
     read().with_context(|| {
         format!("read {}; `coordinator jobs --capsule` writes capsules", file.display())
     })
@@ -285,6 +285,13 @@ fn compare(capsule: &Capsule, repeated: &Finished, asset_pack: &str) -> anyhow::
         capsule.campaign,
         differences.join("; ")
     );
+    let minimal: Vec<String> = capsule.minimal_axes.iter().map(ToString::to_string).collect();
+    if !minimal.is_empty() {
+        print_line(&format!("smallest sets of axes with this outcome: {}", minimal.join(", ")))?;
+    }
+    if let Some(step) = capsule.saved_until {
+        print_line(&format!("saved if its perturbations end at step {step}, and not later"))?;
+    }
     print_line("the same outcome, scene, initial state and path of the robot as in the capsule")
 }
 
@@ -331,8 +338,19 @@ fn wide_enough(
     })
 }
 
-fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
-    let row = benchmark::row_of(arguments.id)?;
+fn run_rescue(mut arguments: RescueArguments) -> anyhow::Result<()> {
+    let mut capsule = arguments.capsule.as_deref().map(read_capsule).transpose()?;
+    let row = match (&capsule, arguments.id) {
+        (Some(capsule), _) => {
+            let provenance = &capsule.measurement.provenance;
+            arguments.realisation = provenance.realisation.parse()?;
+            arguments.replicate = capsule.replicate;
+            arguments.simulator.look = provenance.pin.look;
+            capsule.manifest_row.clone()
+        }
+        (None, Some(id)) => benchmark::row_of(id)?,
+        (None, None) => unreachable!("clap requires --id or --capsule"),
+    };
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(&arguments.endpoint, &access, ROLLOUT_SETTINGS)?;
     let simulator = open_simulator(&arguments.simulator)?;
@@ -343,7 +361,18 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         policy_endpoint: arguments.endpoint,
         ..Assignment::standalone(row, arguments.replicate, arguments.realisation)
     };
-    let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
+    let request = rescue::Request {
+        assignment: &assignment,
+        capsule: capsule.as_ref(),
+        films: !arguments.no_video,
+        output: &arguments.output,
+    };
+    let rescued = rescue::run(&mut simulator, &mut actor, &request)?;
+    if let (Some(capsule), Some(file)) = (&mut capsule, &arguments.capsule) {
+        capsule.saved_until = rescued.saved_until;
+        let text = serde_json::to_string(capsule)? + "\n";
+        std::fs::write(file, text).with_context(|| format!("write {}", file.display()))?;
+    }
     let summary = match (rescued.saved_until, rescued.lost_from) {
         (None, _) => "not saved by ending its perturbations at any tried step".to_owned(),
         (Some(step), None) => {

@@ -16,6 +16,7 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use crate::video::VideoEncoder;
+use benchmark::attempt::Capsule;
 use benchmark::{Condition, RolloutId};
 use serde::Serialize;
 use sim::episode::NUDGE_M;
@@ -23,7 +24,7 @@ use sim::{Episode, Observation, Simulator};
 
 use crate::actor::{Action, Actor};
 use crate::filming::{FilmingError, Replay, render_again};
-use crate::message::Assignment;
+use crate::message::{Assignment, Finished};
 use crate::rollout::{self, Change, Resumed, RolloutError, Simulated, Step, Watcher};
 use crate::stage::Stage;
 
@@ -39,6 +40,12 @@ pub enum RescueError {
          this policy and these assets"
     )]
     Succeeds { id: RolloutId, steps: u32 },
+    #[error(
+        "rescue {id}: the policy acts otherwise than in the capsule ({}); it must answer equal \
+         queries equally, and run with the same assets",
+        differences.join("; ")
+    )]
+    Differs { id: RolloutId, differences: Vec<String> },
     #[error(transparent)]
     Rollout(#[from] RolloutError),
     #[error("film the rescue")]
@@ -88,16 +95,26 @@ pub struct Tried {
     pub placebo_success: Option<bool>,
 }
 
-/// Finds the last query from which a failing rollout can be saved, and writes the findings to the
-/// folder `output`.
+/// What to search, and where to write.
+pub struct Request<'a> {
+    pub assignment: &'a Assignment,
+    /// What the failing rollout must equal.
+    pub capsule: Option<&'a Capsule>,
+    /// True if the failed and the saved rollout are filmed.
+    pub films: bool,
+    /// A folder for the findings.
+    pub output: &'a Path,
+}
+
+/// Finds the last query from which a failing rollout can be saved, and writes the findings.
 ///
 /// The policy is reset at the step of the lift, so a policy with memory starts afresh.
 pub fn run(
     simulator: &mut Simulator,
     actor: &mut dyn Actor,
-    assignment: &Assignment,
-    output: &Path,
+    request: &Request<'_>,
 ) -> Result<Rescue, RescueError> {
+    let Request { assignment, capsule, films, output } = *request;
     let id = assignment.row.id;
     if id.condition() == Condition::Nominal || id.condition().sets_execution() {
         return Err(RescueError::NotPerturbed(id));
@@ -111,6 +128,11 @@ pub fn run(
     if failed.finished.result.success {
         let steps = failed.finished.result.steps;
         return Err(RescueError::Succeeds { id, steps });
+    }
+    let Finished { result, motion, .. } = &failed.finished;
+    let differences = capsule.map_or_else(Vec::new, |capsule| capsule.differences(result, motion));
+    if !differences.is_empty() {
+        return Err(RescueError::Differs { id, differences });
     }
     let query_steps = query_steps.queried_at;
     tracing::info!(
@@ -151,7 +173,7 @@ pub fn run(
         }
     }
     tried.sort_by_key(|trial| trial.lifted_at);
-    if let Some((step, simulated)) = &saved {
+    if let Some((step, simulated)) = saved.as_ref().filter(|_| films) {
         tracing::info!("filming {id}, as it fails and as it is saved at step {step}");
         let film = side_by_side(&mut stage, assignment, &failed.actions, *step, simulated);
         let film = film.map_err(|error| RescueError::Film(Box::new(error)))?;

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use benchmark::attempt::{
     Digests, EXECUTION, GoalProgress, IkResidual, MAX_PROMPT_BYTES, Motion, Parts, Pin, Provenance,
-    RolloutResult, shortened,
+    RolloutResult, shortened, tenths_of_mm,
 };
 use benchmark::{Execution, Look, Query, Schedule};
 use proto::policy as wire;
@@ -433,13 +433,6 @@ fn settings(description: &Description, execution: &Execution) -> BTreeMap<String
 /// Returns the end-effector's position, in tenths of a millimetre.
 fn end_effector_position(episode: &mut Episode<'_>) -> [i16; 3] {
     tenths_of_mm(episode.environment().robot_state().eef_pos)
-}
-
-/// Converts a position from metres.
-pub(crate) fn tenths_of_mm(position: [f64; 3]) -> [i16; 3] {
-    const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
-    // A cast from float to integer saturates, at about three metres.
-    position.map(|metres| (metres * TENTHS_OF_MM_PER_M).round() as i16)
 }
 
 fn observation_request(description: &Description) -> ObservationRequest {

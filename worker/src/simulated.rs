@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use benchmark::attempt::{
     Digests, GoalProgress, MAX_PROMPT_BYTES, Motion, Parts, Realised, RolloutResult, shortened,
+    tenths_of_mm,
 };
 use benchmark::{Action, Query, Schedule, SimulatedTask};
 use proto::MAX_MOTION_STEPS;
@@ -23,7 +24,7 @@ use crate::observation;
 use crate::pipe::{self, Pipe, PipeError, SimulatorCommand, State};
 use crate::rollout::{
     Drawn, RolloutError, Watcher, check_execution, continue_unless_abandoned, frames_digest,
-    provenance, tenths_of_mm,
+    provenance,
 };
 use crate::stopwatch::add_elapsed_time;
 

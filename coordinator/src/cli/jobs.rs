@@ -1,9 +1,11 @@
 //! `coordinator jobs`.
 
+use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use anyhow::anyhow;
-use benchmark::RolloutId;
+use benchmark::{AxisSet, RolloutId};
 use clap::{ArgGroup, Args};
 use coordinator::client::{Client, Service};
 use coordinator::words::duration_text;
@@ -13,7 +15,7 @@ use proto::coordinator::{
 use queue::clock::UnixMillis;
 use queue::ids::shortened;
 use queue::read::{JobDetails, JobLine};
-use report::rollout_name;
+use report::{Findings, rollout_name};
 use serde::Serialize;
 use terminal::{counted, number_from};
 
@@ -73,8 +75,9 @@ pub(super) struct JobsArguments {
     #[arg(long, group = "filters", default_value_t = 50,
         value_parser = number_from(1_u32, "rollouts"))]
     limit: u32,
-    /// Write a finished rollout to a file that `worker rollout --capsule` repeats, without its policy
-    /// and the coordinator; the campaign must store actions (`--record transitions`).
+    /// Write finished rollouts to a file, one per line. `worker rollout --capsule` repeats the
+    /// first, without its policy and the coordinator; training starts from all. The campaign must
+    /// store actions (`--record transitions`).
     #[arg(long, value_name = "FILE", requires = "rollouts",
         conflicts_with_all = ["retry", "skip", "json", "filters"])]
     capsule: Option<PathBuf>,
@@ -110,13 +113,13 @@ pub(super) async fn jobs(arguments: JobsArguments) -> Result<(), CommandError> {
             jobs => format!("{} requeued", counted(jobs, "rollout")),
         })?);
     }
+    if let Some(file) = &arguments.capsule {
+        return write_capsules(&client, &campaign, jobs, file).await;
+    }
     match <[JobName; 1]>::try_from(jobs) {
         Ok([job]) => {
             let request = GetJobRequest { campaign, job: Some(job) };
-            match &arguments.capsule {
-                Some(file) => write_capsule(&client, request, file).await,
-                None => show(&client, request, arguments.json).await,
-            }
+            show(&client, request, arguments.json).await
         }
         Err(none) if none.is_empty() => list(&client, arguments).await,
         Err(_) => Err(usage(anyhow!(
@@ -166,24 +169,56 @@ async fn show(client: &Client, request: GetJobRequest, json: bool) -> Result<(),
     if json { json::print(&details) } else { Ok(print_line(&describe_job(&details, now)?)?) }
 }
 
-async fn write_capsule(
+async fn write_capsules(
     client: &Client,
-    request: GetJobRequest,
+    campaign: &str,
+    jobs: Vec<JobName>,
     file: &Path,
 ) -> Result<(), CommandError> {
-    let details: JobDetails = client.ask(request, Service::get_job).await?;
-    let name = replicate_name(&details.job);
-    let capsule =
-        details.capsule.filter(|capsule| !capsule.actions.is_empty()).ok_or_else(|| {
+    let explained = minimal_axes(client, campaign).await?;
+    let count = jobs.len();
+    let mut written = AtomicFile::create(file)?;
+    for job in jobs {
+        let request = GetJobRequest { campaign: campaign.to_owned(), job: Some(job) };
+        let details: JobDetails = client.ask(request, Service::get_job).await?;
+        let capsule = details.capsule.filter(|capsule| !capsule.actions.is_empty());
+        let mut capsule = capsule.ok_or_else(|| {
             failure(anyhow!(
-                "make a capsule of {name}: it has no stored actions; campaigns with `--record \
-             transitions` store those of finished rollouts"
+                "make a capsule of {}: it has no stored actions; campaigns with `--record \
+                 transitions` store those of finished rollouts",
+                replicate_name(&details.job)
             ))
         })?;
-    let mut written = AtomicFile::create(file)?;
-    serde_json::to_writer(written.writer(), &capsule).map_err(failure)?;
+        let found = explained.get(&capsule.manifest_row.id);
+        capsule.minimal_axes = found.cloned().unwrap_or_default();
+        serde_json::to_writer(written.writer(), &capsule).map_err(failure)?;
+        writeln!(written.writer()).map_err(failure)?;
+    }
     written.finish()?;
-    Ok(print_line(&format!("wrote {name} to {}", file.display()))?)
+    let counted = counted(count as u64, "rollout");
+    Ok(print_line(&format!("wrote {counted} to {}", file.display()))?)
+}
+
+/// Returns the minimal subsets of the simultaneous rollouts that `explain` explained.
+async fn minimal_axes(
+    client: &Client,
+    campaign: &str,
+) -> Result<BTreeMap<RolloutId, Vec<AxisSet>>, CommandError> {
+    let explaining = format!("{campaign}-explained");
+    let campaigns = client.list_campaigns().await?;
+    if !campaigns.iter().any(|status| status.name == explaining) {
+        return Ok(BTreeMap::new());
+    }
+    let findings = Findings::of(&client.report(&explaining).await?).map_err(failure)?;
+    let findings = findings.filter(|findings| findings.campaign == campaign);
+    let explained = findings.into_iter().flat_map(|findings| findings.configurations);
+    Ok(explained
+        .map(|explained| {
+            let answers = explained.explanation.answers.iter();
+            let minimal = answers.flat_map(|answer| &answer.minimal).map(|minimal| minimal.set);
+            (explained.configuration, minimal.collect())
+        })
+        .collect())
 }
 
 /// Parses `spatial/t0/camera/L2/c03`, or with a replicate `spatial/t0/camera/L2/c03#r1`.

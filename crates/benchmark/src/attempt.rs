@@ -19,4 +19,5 @@ pub use provenance::{
 pub use realised::{Realised, RealisedAxis, TOLERANCE};
 pub use result::{
     GoalProgress, IkResidual, MAX_PROMPT_BYTES, Measurement, Motion, Parts, RolloutResult,
+    tenths_of_mm,
 };

@@ -1,9 +1,10 @@
+use benchmark::attempt::{Capsule, tenths_of_mm};
 use benchmark::numpy::LegacyRng;
 use benchmark::{ManifestRow, Realisation, RolloutId, TaskRef, row_of};
 use pyo3::prelude::*;
 use serde::Deserialize;
 use sim::episode::NO_OP;
-use sim::{Conditions, Environment, ReadyScene, Reset};
+use sim::{ActionFrame, Conditions, Environment, ReadyScene, Reset};
 
 use crate::error::{invalid, simulation, value};
 
@@ -11,6 +12,16 @@ pub(crate) enum Start {
     Row(Box<ManifestRow>),
     Sampled(Sampled),
     Legacy(Legacy),
+    Repeated(Repeated),
+}
+
+/// A finished rollout up to a control step.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Repeated {
+    capsule: Box<Capsule>,
+    /// Control steps that are repeated.
+    steps: usize,
 }
 
 /// Start of the original's `OffScreenRenderEnv`: `seed`, reset, `set_init_state`, settling.
@@ -46,7 +57,8 @@ const JOINT_SAMPLER_ROUNDS: u32 = 2;
 impl Start {
     /// Parses JSON: a row; or `{"sampled": SEED, "settle_steps": N, "perturbed": ROW}` with
     /// optional `perturbed`; or `{"legacy_seed": SEED, "rounds": N, "settle_steps": N,
-    /// "settle_action": [..], "state": [..]}` with optional `state`.
+    /// "settle_action": [..], "state": [..]}` with optional `state`; or
+    /// `{"capsule": CAPSULE, "steps": N}`.
     ///
     /// # Errors
     /// If the JSON has none of these forms.
@@ -55,6 +67,9 @@ impl Start {
             let value: serde_json::Value = serde_json::from_str(json)?;
             if value.get("sampled").is_some() {
                 return serde_json::from_value(value).map(Self::Sampled);
+            }
+            if value.get("capsule").is_some() {
+                return serde_json::from_value(value).map(Self::Repeated);
             }
             if value.get("legacy_seed").is_some() {
                 return serde_json::from_value(value).map(Self::Legacy);
@@ -65,25 +80,21 @@ impl Start {
     }
 
     /// Starts the rollout in an environment of its scene and runs the settling steps.
-    /// Perturbations use the matched realisation. Returns the conditions that change actions
+    /// Perturbations use the matched realisation, or that of the capsule. Returns the conditions that change actions
     /// and frames; `None` if the start has no manifest row.
     ///
     /// # Errors
     /// If `ready` is needed and missing, the task has no such initial state, a state has the wrong
-    /// length, objects cannot be placed, or the physics diverges.
+    /// length, objects cannot be placed, the physics diverges, or the robot does not move as in the
+    /// capsule.
     pub(crate) fn begin(
         &self,
         ready: Option<&ReadyScene>,
         environment: &mut Environment,
     ) -> PyResult<Option<Conditions>> {
         match self {
-            Self::Row(row) => {
-                let ready = require_initial_states(ready)?;
-                let conditions = Conditions::begin(ready, environment, row, Realisation::Matched);
-                let conditions = conditions.map_err(simulation)?;
-                conditions.settle(environment).map_err(simulation)?;
-                Ok(Some(conditions))
-            }
+            Self::Row(row) => begin_row(ready, environment, row, Realisation::Matched).map(Some),
+            Self::Repeated(repeated) => repeated.begin(ready, environment).map(Some),
             Self::Sampled(placement) => {
                 let mut rng = LegacyRng::seed(placement.sampled);
                 let reset = environment.reset(&mut rng, Reset::Hard, JOINT_SAMPLER_ROUNDS);
@@ -105,6 +116,49 @@ impl Start {
             }
             Self::Legacy(start) => start.begin(environment).map(|()| None),
         }
+    }
+}
+
+fn begin_row(
+    ready: Option<&ReadyScene>,
+    environment: &mut Environment,
+    row: &ManifestRow,
+    realisation: Realisation,
+) -> PyResult<Conditions> {
+    let ready = require_initial_states(ready)?;
+    let conditions = Conditions::begin(ready, environment, row, realisation);
+    let conditions = conditions.map_err(simulation)?;
+    conditions.settle(environment).map_err(simulation)?;
+    Ok(conditions)
+}
+
+impl Repeated {
+    fn begin(
+        &self,
+        ready: Option<&ReadyScene>,
+        environment: &mut Environment,
+    ) -> PyResult<Conditions> {
+        let Capsule { manifest_row: row, measurement, actions, path, .. } = &*self.capsule;
+        let realisation = measurement.provenance.realisation.parse().map_err(value)?;
+        let mut conditions = begin_row(ready, environment, row, realisation)?;
+        for action in actions.iter().take(self.steps) {
+            let action = action.map(f64::from);
+            let step = conditions.step(environment, &action, ActionFrame::Relative);
+            step.map_err(simulation)?;
+        }
+        let position = tenths_of_mm(environment.robot_state().eef_pos);
+        if path.get(self.steps) != Some(&position) {
+            return Err(invalid(format_args!(
+                "repeat {} steps of {}: the robot moves otherwise than in the capsule, which was \
+                 made with asset pack {}, look {} and MuJoCo {}",
+                self.steps,
+                row.id,
+                measurement.provenance.pin.asset_pack_digest,
+                measurement.provenance.pin.look,
+                measurement.provenance.pin.mujoco_version
+            )));
+        }
+        Ok(conditions)
     }
 }
 

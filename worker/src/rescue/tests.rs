@@ -134,7 +134,9 @@ fn a_rollout_without_perturbations_is_refused() {
         let mut actor =
             ObservingActor { side: SIDE, observations: Vec::new(), instructions: Vec::new() };
         let assignment = assignment(row(id), None);
-        let refused = run(&mut simulator, &mut actor, &assignment, folder.path());
+        let (assignment, output) = (&assignment, folder.path());
+        let request = Request { assignment, capsule: None, films: true, output };
+        let refused = run(&mut simulator, &mut actor, &request);
         assert!(matches!(refused, Err(RescueError::NotPerturbed(_))), "{id}");
         assert!(actor.observations.is_empty(), "{id}");
     }

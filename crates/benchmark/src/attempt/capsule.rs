@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::{Measurement, Motion, RolloutResult};
-use crate::ManifestRow;
+use crate::{AxisSet, ManifestRow};
 
 /// A finished rollout: the actions that repeat it without its policy, and what the repetition must
 /// reproduce.
@@ -18,9 +18,25 @@ pub struct Capsule {
     pub path: Vec<[i16; 3]>,
     /// Action of every control step, as [`Motion`] has them; empty if the campaign stores none.
     pub actions: Vec<[f32; 7]>,
+    /// The smallest subsets of the axes that change the outcome, where `coordinator explain`
+    /// searched for them.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub minimal_axes: Vec<AxisSet>,
+    /// Control step after which the policy still succeeds if the perturbations end there, the last
+    /// such step that `worker rescue` found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub saved_until: Option<u32>,
 }
 
 impl Capsule {
+    /// Reads the first capsule of a file's text, which has one per line.
+    ///
+    /// # Errors
+    /// If the line is no capsule.
+    pub fn read(text: &str) -> Result<Capsule, serde_json::Error> {
+        serde_json::from_str(text.lines().next().unwrap_or_default())
+    }
+
     /// Names what a repetition does not reproduce: outcome, digests, or the robot's path.
     pub fn differences(&self, repeated: &RolloutResult, motion: &Motion) -> Vec<String> {
         let (was, is) = (&self.measurement.result, repeated);

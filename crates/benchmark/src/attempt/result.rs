@@ -169,6 +169,13 @@ pub struct Motion {
     pub actions: Vec<u8>,
 }
 
+/// Converts a position from metres to tenths of a millimetre.
+pub fn tenths_of_mm(position: [f64; 3]) -> [i16; 3] {
+    const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
+    // A cast from float to integer saturates, at about three metres.
+    position.map(|metres| (metres * TENTHS_OF_MM_PER_M).round() as i16)
+}
+
 impl Motion {
     pub fn pack(path: &[[i16; 3]], actions: &[[f32; 7]]) -> Motion {
         let (path, actions) = (path.as_flattened(), actions.as_flattened());

@@ -232,6 +232,8 @@ impl View {
                     },
                     path: motion.path(),
                     actions: motion.actions(),
+                    minimal_axes: Vec::new(),
+                    saved_until: None,
                 })
             }
         };
