@@ -68,6 +68,9 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
 
     campaign.wait_until("the campaign is finished", ClusterCampaign::is_finished);
     campaign.assert_no_charges();
+    // The rollouts of the gate's campaign are its own, so that nothing need be run.
+    assert_eq!(campaign.state_after_a_gate("100"), "COMPLETED", "not worse");
+    assert_eq!(campaign.state_after_a_gate("2"), "CANCELLED", "undecided");
     let report = campaign.report();
     let endpoint = campaign.endpoint.clone();
     campaign.close();
@@ -182,6 +185,25 @@ impl ClusterCampaign {
         self.wait_until("the worker is back", |campaign| {
             campaign.is_back(task, before.restarts + 1)
         });
+    }
+
+    /// Returns the last state of a job that depends on a gate with a margin.
+    fn state_after_a_gate(&self, margin: &str) -> String {
+        let gate = format!(
+            "{} gate --connect {} --policy expert --against {CAMPAIGN} --name {CAMPAIGN} --margin \
+             {margin}",
+            program("coordinator").display(),
+            self.url
+        );
+        let gate = self.cluster.submit(&["--partition=high"], &gate);
+        let dependency = format!("--dependency=afterok:{gate}");
+        let options = ["--partition=high", &dependency, "--kill-on-invalid-dep=yes"];
+        let dependent = self.cluster.submit(&options, "true");
+        let state = || self.cluster.job(&dependent).state;
+        self.wait_until("the dependent job has ended", |_| {
+            !["PENDING", "RUNNING", "COMPLETING"].contains(&state().as_str())
+        });
+        state()
     }
 
     /// Returns true if a job is running and was requeued at least `restarts` times.

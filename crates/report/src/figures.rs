@@ -11,6 +11,7 @@ mod matrix;
 mod paper;
 mod survival;
 mod svg;
+mod sweep;
 mod upset;
 
 use std::collections::BTreeSet;
@@ -28,6 +29,7 @@ pub use matrix::matrix;
 pub use paper::{by_level, changes};
 pub use survival::survival;
 pub use svg::WIDTH;
+pub use sweep::sweep;
 pub use upset::upset;
 
 /// The style that the panels need; a page includes it once.
@@ -152,6 +154,7 @@ pub fn of_thresholds(report: &ThresholdReport) -> Vec<Figure> {
 pub fn all(document: &Document) -> Vec<Figure> {
     let mut figures = Vec::new();
     let levels = levels(document);
+    figures.extend(sweep(document));
     figures.extend(by_level(document));
     figures.extend(levels.iter().filter_map(|&level| changes(document, level)));
     figures.extend(levels.iter().filter_map(|&level| decomposition(document, level)));

@@ -89,6 +89,8 @@ pub(crate) fn of_document<'a>(document: &'a Document, link: Option<Link<'a>>) ->
     if !analyses.iter().any(Analysis::is_paired) {
         return Sections { open, folded: vec![quarantine(document), methods()] };
     }
+    let sweep = Block::Html(Box::new(move || figure(SWEEP, figures::sweep(document))));
+    open.push(section("Checkpoints", vec![sweep]));
     open.push(section("Success", overview(document, true)));
     let beside = move || {
         let changes = levels(document).into_iter();
@@ -179,6 +181,9 @@ pub(crate) fn overview(document: &Document, with_intervals: bool) -> Vec<Block<'
     }
     blocks
 }
+
+const SWEEP: &str = "Success of each checkpoint, by the number in its name: circles nominally, squares under \
+    simultaneous perturbation. Whiskers are 95 % intervals, about new tasks.";
 
 const BESIDE: &str = "Measured policies (capital letters) beside those of the paper (small letters). Left, \
     simultaneous success by level; then, for each level, emergent failures against compensated \

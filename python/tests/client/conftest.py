@@ -118,10 +118,11 @@ def specification(name, endpoint="http://127.0.0.1:1", **fields):
 
 
 @pytest.fixture(scope="session")
-def run(programs):
-    """Starts a worker that runs a coordinator's campaign, and waits for the campaign's end."""
+def working(programs):
+    """Runs a coordinator's worker during a `with` statement."""
 
-    def run_all(server, campaign):
+    @contextlib.contextmanager
+    def start(server):
         flags = ("--connect", f"http://{server.address}", "--slots", "2", "--assets", "primitives")
         with subprocess.Popen(
             [programs / "worker", *flags],
@@ -129,15 +130,26 @@ def run(programs):
             stderr=subprocess.STDOUT,
             text=True,
         ) as worker:
-            end = time.monotonic() + CAMPAIGN_SECS
             try:
-                for status in campaign.follow(every=0.5):
-                    if worker.poll() is not None or time.monotonic() > end:
-                        printed = worker.stdout.read()
-                        pytest.fail(f"the campaign did not finish: {status}; {printed}")
+                yield worker
             finally:
                 worker.terminate()
                 worker.communicate(timeout=START_SECS)
+
+    return start
+
+
+@pytest.fixture(scope="session")
+def run(working):
+    """Starts a worker that runs a coordinator's campaign, and waits for the campaign's end."""
+
+    def run_all(server, campaign):
+        end = time.monotonic() + CAMPAIGN_SECS
+        with working(server) as worker:
+            for status in campaign.follow(every=0.5):
+                if worker.poll() is not None or time.monotonic() > end:
+                    printed = worker.stdout.read()
+                    pytest.fail(f"the campaign did not finish: {status}; {printed}")
 
     return run_all
 

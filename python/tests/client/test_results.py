@@ -3,9 +3,11 @@ published outcomes."""
 
 import json
 import os
+import runpy
 from collections import Counter
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -14,6 +16,7 @@ from rollout_client.errors import NoSuchCampaignError, ProgramError, RefusedErro
 from .conftest import specification
 
 PUBLISHED = Path(__file__).resolve().parents[3] / "examples" / "openvla_oft"
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def test_results_are_the_exported_rows_with_types(measured):
@@ -62,6 +65,28 @@ def test_a_gate_returns_what_it_decided(measured):
     assert [decision["verdict"] for decision in decided["decisions"]] == ["undecided"]
     with pytest.raises(RefusedError, match="nobody"):
         measured.gate("expert", "published:nobody")
+
+
+def test_the_example_judges_a_policy_while_it_is_trained(
+    serve, connect, gateway, run, working, programs, monkeypatch
+):
+    pytest.importorskip("rollout_policies", reason="pip install ./policies")
+    server = serve()
+    url = f"http://{server.address}"
+    endpoint = f"http://{gateway.address}"
+    client = connect(url)
+    design = specification("baseline", endpoint, axes=["camera"], configs=[0], nominal="all")
+    rows = client._program.run("manifest", "--spec", "-", text=json.dumps(design)).splitlines()
+    nominal = [row for row in map(json.loads, rows) if row["level"] == "L0"]
+    policy = {"name": "expert", "endpoint": endpoint}
+    run(server, client.create({"name": "baseline", "policy": policy}, rows=nominal[:16]))
+    monkeypatch.setenv("COORDINATOR_URL", url)
+    monkeypatch.setenv("PATH", str(programs), prepend=os.pathsep)
+    judge = runpy.run_path(str(EXAMPLES / "while_training.py"))["judge"]
+    with working(server):
+        decision = judge(1000, lambda state: np.zeros(7), "baseline")
+    assert (decision["policy"], decision["verdict"]) == ("step-1000", "worse")
+    assert decision["conditions"][0]["difference"] == -1
 
 
 def test_the_notebook_makes_the_tables_of_a_paper(programs, monkeypatch):

@@ -5,7 +5,8 @@ use benchmark::Level;
 use maud::{Markup, html};
 use paired::adaptive::radii::{Curve, Point};
 
-use super::svg::{AXIS, HEAD, MARGIN, Scale, circle, diamond, line, number, text, whisker};
+use super::svg::{AXIS, HEAD, MARGIN, Scale, circle, diamond, line, number, path, shares, spaced};
+use super::svg::{text, whisker};
 use super::{Figure, WIDTH};
 use crate::words;
 
@@ -17,7 +18,6 @@ const LEVEL_ROW_HEIGHT: f64 = 18.0;
 const LEGEND_HEIGHT: f64 = 36.0;
 /// Smallest distance between two numbers on an axis.
 const MIN_LABEL_DISTANCE: f64 = 20.0;
-const GRID_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// Draws the panel of a condition; `None` if the curve has no points.
 pub fn survival(curve: &Curve) -> Option<Figure> {
@@ -32,13 +32,7 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         (text(0.0, 15.0, "head", name))
         (text(WIDTH, 15.0, "small muted end", &format!("{}, {}", half(curve), words::counts([curve.n]))))
         (scale.axis([top, bottom], &ticks(&scale, curve), "radius of the perturbation"))
-        @for share in GRID_SHARES {
-            @let y = place.y(share);
-            (line("grid", [LABEL_WIDTH, y], [WIDTH - MARGIN, y]))
-            @let unit = if share >= 1.0 { " %" } else { "" };
-            (text(LABEL_WIDTH - 6.0, y + 4.0, "tiny muted end",
-                &format!("{}{unit}", number(100.0 * share))))
-        }
+        (shares(|share| place.y(share), [LABEL_WIDTH, WIDTH - MARGIN]))
         (intervals(&place, &curve.points))
         (brackets(&place, &curve.points))
         path class="curve" d=(path(curve.points.iter().map(|point| {
@@ -100,30 +94,16 @@ impl Place {
 fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
     let radii = [0.0].into_iter().chain(curve.grid.iter().copied());
     let label = |radius: f64| (radius, number(radius));
-    spaced(scale, radii).into_iter().map(label).collect()
+    spaced(scale, radii, MIN_LABEL_DISTANCE).into_iter().map(label).collect()
 }
 
 /// Returns the protocol's levels whose labels fit on the axis, each with the curve's point at that
 /// level.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
     let named_points = curve.points.iter().filter_map(|point| Some((point.level?, point)));
-    let labelled = spaced(scale, named_points.clone().map(|(level, _)| level.radius()));
+    let radii = named_points.clone().map(|(level, _)| level.radius());
+    let labelled = spaced(scale, radii, MIN_LABEL_DISTANCE);
     named_points.filter(|(level, _)| labelled.contains(&level.radius())).collect()
-}
-
-/// Drops each value that is closer than [`MIN_LABEL_DISTANCE`] to the next larger kept value.
-fn spaced(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut values: Vec<f64> = values.collect();
-    values.reverse();
-    let mut kept: Vec<f64> = Vec::new();
-    for value in values {
-        let has_room = |last: &f64| scale.at(*last) - scale.at(value) >= MIN_LABEL_DISTANCE;
-        if kept.last().is_none_or(has_room) {
-            kept.push(value);
-        }
-    }
-    kept.reverse();
-    kept
 }
 
 /// Draws the curve's confidence intervals as a band, which has no width at points without
@@ -148,14 +128,6 @@ fn brackets(place: &Place, points: &[Point]) -> Markup {
         path class="bracket" d=(to_path(low.collect())) {}
         path class="bracket" d=(to_path(high.collect())) {}
     }
-}
-
-fn path(places: impl Iterator<Item = [f64; 2]>) -> String {
-    let step = |(index, [x, y]): (usize, [f64; 2])| {
-        let command = if index == 0 { "M" } else { "L" };
-        format!("{command}{} {}", number(x), number(y))
-    };
-    places.enumerate().map(step).collect()
 }
 
 fn legend(top: f64) -> Markup {

@@ -81,6 +81,44 @@ pub(super) fn end_and_step(largest: f64, most: f64) -> (f64, f64) {
     ((largest / step - 1e-9).ceil() * step, step)
 }
 
+/// Drops each value that is closer than `distance` to the next larger kept value on the scale.
+pub(super) fn spaced(
+    scale: &Scale,
+    values: impl DoubleEndedIterator<Item = f64>,
+    distance: f64,
+) -> Vec<f64> {
+    let mut kept: Vec<f64> = Vec::new();
+    for value in values.rev() {
+        let has_room = |last: &f64| scale.at(*last) - scale.at(value) >= distance;
+        if kept.last().is_none_or(has_room) {
+            kept.push(value);
+        }
+    }
+    kept.reverse();
+    kept
+}
+
+/// Draws the vertical axis of a rate: a horizontal line per quarter, with its label in percent.
+pub(super) fn shares(y: impl Fn(f64) -> f64, [left, right]: [f64; 2]) -> Markup {
+    html! {
+        @for share in [0.0, 0.25, 0.5, 0.75, 1.0] {
+            (line("grid", [left, y(share)], [right, y(share)]))
+            @let unit = if share >= 1.0 { " %" } else { "" };
+            (text(left - 6.0, y(share) + 4.0, "tiny muted end",
+                &format!("{}{unit}", number(100.0 * share))))
+        }
+    }
+}
+
+/// Returns the data of a path through the places.
+pub(super) fn path(places: impl Iterator<Item = [f64; 2]>) -> String {
+    let step = |(index, [x, y]): (usize, [f64; 2])| {
+        let command = if index == 0 { "M" } else { "L" };
+        format!("{command}{} {}", number(x), number(y))
+    };
+    places.enumerate().map(step).collect()
+}
+
 pub(super) fn text(x: f64, y: f64, class: &str, content: &str) -> Markup {
     html! { text x=(number(x)) y=(number(y)) class=(class) { (content) } }
 }

@@ -110,6 +110,36 @@ fn figures_are_well_formed_files_with_counts() {
     assert_eq!(names.len(), figures.len(), "no file overwrites another");
 }
 
+#[test]
+fn checkpoints_have_a_curve_over_their_numbers() {
+    let checkpoint = |step: u32| Subject { policy: format!("step-{step}"), ..example() };
+    let sweep = |subjects| {
+        let figures = figures::all(&document(subjects)).into_iter();
+        figures.filter(|figure| figure.name.starts_with("sweep")).collect::<Vec<_>>()
+    };
+    let figures = sweep([10_000, 500, 9000].map(checkpoint).into());
+    let names = |figures: &[figures::Figure]| {
+        figures.iter().map(|figure| figure.name.clone()).collect::<Vec<_>>()
+    };
+    assert_eq!(names(&figures), ["sweep-l1", "sweep-l2", "sweep-l3"]);
+    let file = figures[1].standalone();
+    let svg = roxmltree::Document::parse(&file).expect("well formed");
+    let titles = svg.descendants().filter(|node| node.has_tag_name("title"));
+    let titles: Vec<&str> = titles.skip(1).filter_map(|node| node.text()).collect();
+    let at = |condition: &str| [500, 9000, 10_000].map(|step| format!("{step}, {condition} %"));
+    assert_eq!(titles, [at("nominal: 96.7"), at("L2 simultaneous: 57.8")].concat());
+    let whiskers = svg.descendants().filter(|node| node.attribute("class") == Some("whisker"));
+    // The nominal rate was reported without the rollouts.
+    assert_eq!(whiskers.count(), 3);
+    let nominal = |step: u32| {
+        let mut subject = checkpoint(step);
+        subject.records.retain(|record| record.id.condition() == Condition::Nominal);
+        subject
+    };
+    assert_eq!(names(&sweep([1, 2, 3].map(nominal).into())), ["sweep-nominal"]);
+    assert!(sweep([1, 2].map(checkpoint).into()).is_empty());
+}
+
 /// Asserts that the letter of a policy hides neither a point nor the letter of another.
 fn assert_letters_are_apart(figure: &str, svg: &roxmltree::Document<'_>) {
     let place = |node: roxmltree::Node<'_, '_>, names: [&str; 2], above: f64| {
