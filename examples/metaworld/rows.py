@@ -11,7 +11,7 @@ from metaworld.policies import ENV_POLICY_MAP
 parser = argparse.ArgumentParser(description=__doc__)
 parser.add_argument("tasks", nargs="*", default=sorted(ENV_POLICY_MAP))
 parser.add_argument("--seeds", type=int, default=10)
-parser.add_argument("--radii", default="8")
+parser.add_argument("--radii", default="32")
 parser.add_argument("--placebo", action="store_true", help="with the three conditions at L0")
 options = parser.parse_args()
 levels = [{"radius": float(radius)} for radius in options.radii.split(",")]

@@ -1,9 +1,9 @@
 """Time of the pipe against stepping the environment in-process, in turn in one run.
 
-    MUJOCO_GL=egl python python/bench/pipe.py [--rounds N] [--steps N] [SPEC [OPTION ...]]
+    python python/bench/pipe.py [--rounds N] [--steps N] [SPEC [OPTION ...] | NAME ...]
 
-Prints a table of the simulator or, without SPEC, of those of `tests/env/test_simulators.py` that
-this interpreter has. Each round runs the same rollout on both sides, step by step in alternating
+Prints a table of the simulator SPEC, or of those of `tests/env/test_simulators.py`, by default all
+that this interpreter has. Each round runs the same rollout on both sides, step by step in alternating
 order; every step observes all cameras. A time is the lower quartile of the steps' wall times, which
 other processes of the machine disturb least. Construction is not counted: it is the same.
 """
@@ -30,12 +30,14 @@ COLUMNS = "simulator", "tasks", "cameras", "control", "check", "in-process", "pi
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, allow_abbrev=False)
+    os.environ.setdefault("MUJOCO_GL", "egl")
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=20)
     options, given = parser.parse_known_args()
     print_row(COLUMNS)
     print_row(["---"] * len(COLUMNS))
-    for name, spec in [(given[0], given)] if given else installed():
+    is_spec = bool(given) and ":" in given[0]
+    for name, spec in [(given[0], given)] if is_spec else installed(given):
         print_row([name, *row(spec, options.rounds, options.steps)])
 
 
@@ -43,7 +45,7 @@ def print_row(cells: Iterable[str]) -> None:
     print(f"| {' | '.join(cells)} |", flush=True)
 
 
-def installed() -> list[tuple[str, list[str]]]:
+def installed(names: list[str]) -> list[tuple[str, list[str]]]:
     """Returns the tested simulators of this interpreter with their versions, and their SPECs."""
     sys.path.append(str(pathlib.Path(__file__).parents[1] / "tests" / "env"))
     from test_simulators import FOLDERS, SIMULATORS
@@ -53,8 +55,8 @@ def installed() -> list[tuple[str, list[str]]]:
     owners = metadata.packages_distributions()
     return [
         (f"{owners[package][0]} {metadata.version(owners[package][0])}", spec.split())
-        for package, spec in SIMULATORS.values()
-        if importlib.util.find_spec(package)
+        for name, (package, spec) in SIMULATORS.items()
+        if name in (names or SIMULATORS) and importlib.util.find_spec(package)
     ]
 
 
