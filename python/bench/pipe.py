@@ -3,9 +3,10 @@
     python python/bench/pipe.py [--rounds N] [--steps N] [SPEC [OPTION ...] | NAME ...]
 
 Prints a table of the simulator SPEC, or of those of `tests/env/test_simulators.py`, by default all
-that this interpreter has. Each round runs the same rollout on both sides, step by step in alternating
-order; every step observes all cameras. A time is the lower quartile of the steps' wall times, which
-other processes of the machine disturb least. Construction is not counted: it is the same.
+that this interpreter has. Each round runs the same rollout on both sides, step by step in
+alternating order; every step observes all cameras. A time is the lower quartile of the steps' wall
+times, which other processes of the machine disturb least. Construction is not counted: it is the
+same.
 """
 
 import argparse

@@ -44,7 +44,7 @@ pub(crate) enum Suite {
     /// The demo, with fewer rollouts.
     Demo,
     /// Simulators of the package index behind `rollout-env`; only if named: their environments
-    /// take 4 GB, and drawing without a GPU takes tens of minutes.
+    /// take 20 GB, and drawing without a GPU takes tens of minutes.
     Simulators,
 }
 
