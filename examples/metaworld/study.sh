@@ -4,7 +4,7 @@
 #     PYTHON=metaworld/bin/python SLOTS=16 study.sh DATA [OPTIONS OF rows.py]
 #
 # PYTHON has Meta-World, rollout_env and rollout_policies; the programs are on PATH. DATA, which
-# must not exist, gets the database, the rows and the logs. Ports from 7521 on must be free.
+# must not exist, gets the database, rows, results and logs. Ports from 7521 on must be free.
 set -eu
 folder=$(dirname "$0") python=${PYTHON:-python3} slots=${SLOTS:-2} data=$1
 shift
@@ -43,4 +43,5 @@ coordinator campaign create --name experts --policy experts --endpoint http://12
     --rows "$data/rows.jsonl"
 coordinator campaign status --watch experts
 coordinator report experts
+coordinator export experts --format jsonl >"$data/results.jsonl"
 echo "$(wc -l <"$data/rows.jsonl") rollouts in $slots slots took $(($(date +%s) - began)) s"
