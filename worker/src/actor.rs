@@ -39,11 +39,15 @@ pub enum PolicyError {
     #[error("{} at {endpoint} cannot be used: {fault}", label(policy))]
     Description { policy: String, endpoint: String, fault: DescriptionFault },
     #[error(
-        "{} cannot be run in LIBERO: it asks for reading `{reading}` by name, which only other \
-         simulators have (docs/SIMULATORS.md)",
+        "{} cannot be run in LIBERO: it asks for {wanted}, which only other simulators have \
+         (docs/SIMULATORS.md)",
         label(policy)
     )]
-    Reading { policy: String, reading: String },
+    Foreign {
+        policy: String,
+        /// A reading by name, or a camera.
+        wanted: String,
+    },
     #[error("{} cannot be run this way: {problem}", label(policy))]
     TooLate {
         policy: String,

@@ -14,6 +14,7 @@ use benchmark::attempt::{
     RolloutResult, shortened, tenths_of_mm,
 };
 use benchmark::{Execution, Look, Query, Schedule};
+use proto::checks::CAMERAS;
 use proto::policy as wire;
 use sha2::{Digest, Sha256};
 use sim::episode::clip;
@@ -148,9 +149,8 @@ pub(crate) fn run_resumed(
     // must not carry its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
     check_execution(assignment, &description)?;
-    if let Some(reading) = description.about.readings.first() {
-        let (policy, reading) = (assignment.policy.clone(), reading.clone());
-        return Err(PolicyError::Reading { policy, reading }.into());
+    if let Some(wanted) = foreign(&description.about) {
+        return Err(PolicyError::Foreign { policy: assignment.policy.clone(), wanted }.into());
     }
     let mut run = Run {
         assignment,
@@ -182,6 +182,14 @@ pub(crate) fn run_resumed(
         motion: run.motion(),
     };
     Ok(Simulated { finished, actions: run.executed })
+}
+
+/// Returns a reading or a camera that a policy asks for and LIBERO does not have.
+fn foreign(about: &wire::DescribeResponse) -> Option<String> {
+    let reading = about.readings.first().map(|name| format!("reading `{name}` by name"));
+    let mut cameras = about.cameras.iter().map(|camera| &*camera.name);
+    let camera = cameras.find(|name| !CAMERAS.contains(name));
+    reading.or(camera.map(|name| format!("camera `{name}` beside {}", CAMERAS.join(" and "))))
 }
 
 /// Rejects an execution model that drops all answers of the policy, which is a mistake in the

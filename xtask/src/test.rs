@@ -44,14 +44,16 @@ pub(crate) enum Suite {
     /// The demo, with fewer rollouts.
     Demo,
     /// Simulators of the package index behind `rollout-env`; only if named: their environments
-    /// take 4 GB, and drawing without a GPU takes tens of minutes.
+    /// take 20 GB, and drawing without a GPU takes tens of minutes.
     Simulators,
 }
 
 /// Simulators by the name of the environment, with the requirements that they need and those that
 /// they do not declare. Each is installed into an environment of its own.
-const SIMULATORS: [(&str, &[&str]); 5] = [
+const SIMULATORS: [(&str, &[&str]); 7] = [
     ("aloha", &["gym-aloha==0.1.5"]),
+    ("lerobot", &["lerobot[pusht]==0.4.4"]),
+    ("mani_skill", &["mani_skill==3.0.1", "torch"]),
     ("metaworld", &["metaworld==3.1.1", "packaging"]),
     ("pusht", &["gym-pusht==0.1.8"]),
     // robosuite 1.5.2 accepts any later MuJoCo, but does not run with MuJoCo 4.
@@ -310,20 +312,32 @@ fn ray(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     run_command(&mut pytest)
 }
 
-/// Tests `rollout-env` with each simulator, in the simulator's environment.
+/// Tests `rollout-env` with each simulator, in the simulator's environment, and prints the table of
+/// the simulators.
 fn simulators(root: &Path, cache: &Path) -> Result<()> {
     setup::opengl()?;
+    let mut table: Vec<String> = Vec::new();
     for (name, packages) in SIMULATORS {
         println!("Testing rollout-env with {name}");
         let dir = cache.join("simulators").join(name);
         step(name, || environment(&dir, &[packages, &["imageio", "pytest>=7"]].concat()))?;
-        let mut pytest = Command::new(dir.join("bin/python"));
-        pytest
-            .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider", "-k", name])
-            .arg(root.join("python/tests/env/test_simulators.py"))
-            .env("PYTHONPATH", root.join("python/rollout_env"));
-        run_command(&mut pytest)?;
+        let python = || {
+            let mut python = Command::new(dir.join("bin/python"));
+            python.env("PYTHONPATH", root.join("python/rollout_env"));
+            python
+        };
+        run_command(
+            python()
+                .args(["-m", "pytest", "--quiet", "-rfs", "-p", "no:cacheprovider", "-k", name])
+                .arg(root.join("python/tests/env/test_simulators.py")),
+        )?;
+        let rows = capture(python().arg(root.join("python/bench/pipe.py")).arg(name))?;
+        let headings = if table.is_empty() { 0 } else { 2 };
+        // LeRobot prints to standard output too.
+        let rows = rows.lines().filter(|line| line.starts_with('|')).skip(headings);
+        table.extend(rows.map(str::to_owned));
     }
+    println!("{}", table.join("\n"));
     Ok(())
 }
 

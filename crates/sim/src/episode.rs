@@ -224,7 +224,9 @@ impl Conditions {
     /// Leaves cameras that policies do not receive unchanged. For a given camera and size, the
     /// corruption depends only on the control step.
     pub fn corrupt(&mut self, frame: &mut Frame) {
-        self.interference.corrupt(frame, self.policy_steps);
+        if frame_source(&frame.camera).is_ok() {
+            self.interference.corrupt(frame, self.policy_steps);
+        }
     }
 }
 
@@ -257,12 +259,12 @@ impl Interference {
         }
     }
 
-    /// Leaves cameras that policies do not receive unchanged. `step` is the number of control steps
-    /// before the frame.
+    /// `step` is the number of control steps before the frame.
     pub fn corrupt(&mut self, frame: &mut Frame, step: u32) {
-        if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
+        if let Some(stage) = &mut self.sensor {
             stage.apply(&mut perturb::Frame {
-                source,
+                source: frame_source(&frame.camera)
+                    .unwrap_or_else(|_| FrameSource::other(&frame.camera)),
                 step,
                 width: frame.width as usize,
                 height: frame.height as usize,

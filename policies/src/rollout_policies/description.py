@@ -81,7 +81,7 @@ class Gripper(enum.Enum):
 class Camera:
     """A camera, and the size of its frames in pixels."""
 
-    #: "agentview" or "robot0_eye_in_hand".
+    #: "agentview", "robot0_eye_in_hand", or another one of a simulator other than LIBERO's.
     name: str
     width: int = 256
     height: int = 256

@@ -307,9 +307,11 @@ def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _array(value: Any) -> np.ndarray:
-    """Returns a NumPy array, of a PyTorch tensor too, without a batch dimension of pictures."""
-    array = np.asarray(value.cpu() if hasattr(value, "cpu") else value)
-    return array[0] if array.ndim == 4 and len(array) == 1 else array
+    """Returns a NumPy array, without the batch dimension of pictures and of PyTorch tensors."""
+    is_tensor = hasattr(value, "cpu")
+    array = np.asarray(value.cpu() if is_tensor else value)
+    is_batch = array.ndim == 4 or is_tensor and array.ndim > 1
+    return array[0] if is_batch and len(array) == 1 else array
 
 
 def _is_picture(value: np.ndarray) -> bool:

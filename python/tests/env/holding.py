@@ -25,6 +25,7 @@ class Hold(gymnasium.Env):
     metadata = {"render_fps": 20, "perturb": ["camera"]}
     observation_space = gymnasium.spaces.Dict(
         agentview=gymnasium.spaces.Box(0, 255, (6, 8, 3), np.uint8),
+        front=gymnasium.spaces.Box(0, 255, (6, 8, 3), np.uint8),
         position=gymnasium.spaces.Box(-np.inf, np.inf, (2,)),
     )
     action_space = gymnasium.spaces.Box(-1, 1, (3,))
@@ -39,7 +40,8 @@ class Hold(gymnasium.Env):
         return self.observation(), {}
 
     def observation(self):
-        return {"agentview": np.full((6, 8, 3), self.grey, np.uint8), "position": self.position}
+        grey = np.full((6, 8, 3), self.grey, np.uint8)
+        return {"agentview": grey, "front": grey, "position": self.position}
 
     def step(self, action):
         self.steps += 1

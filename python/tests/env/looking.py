@@ -11,7 +11,7 @@ class Looking(Policy):
     description = Description(
         name="looking",
         checkpoint="test",
-        cameras=(Camera("agentview", 16, 12),),
+        cameras=(Camera("agentview", 16, 12), Camera("front", 16, 12)),
         readings=("position",),
         language=Language.IGNORED,
     )
@@ -20,9 +20,7 @@ class Looking(Policy):
         assert episode.instruction == "hold still", episode.instruction
 
     def infer(self, observation):
-        sees = (
-            observation.images["agentview"].std() < 1 and observation.readings["position"].size == 2
-        )
+        sees = observation.images["front"].std() < 1 and observation.readings["position"].size == 2
         return np.array([0.0 if sees else 1.0, 0, 0, 0, 0, 0, -1])
 
 

@@ -31,6 +31,11 @@ VLA_EVAL = (
     "vla-eval:reacher_benchmark:Reacher --tasks reach --set max_steps=30 --control-hz 50 "
     "--action x,y"
 )
+#: Drawn through Vulkan, without a GPU by the lavapipe of Mesa 25 (Debian 12's 22.3 cannot).
+MANI_SKILL = (
+    "gym:mani_skill.envs:PickCube-v1 --set obs_mode=rgb --set sim_backend=physx_cpu "
+    "--set control_mode=pd_ee_delta_pose --action x,y,z,roll,pitch,yaw,gripper --control-hz 20"
+)
 #: Package, SPEC with options.
 SIMULATORS = {
     "metaworld": ("metaworld", METAWORLD),
@@ -38,6 +43,8 @@ SIMULATORS = {
     "aloha": ("gym_aloha", "gym:gym_aloha/AlohaTransferCube-v0 --set obs_type=pixels_agent_pos"),
     "pusht": ("gym_pusht", "gym:gym_pusht/PushT-v0 --set obs_type=pixels_agent_pos"),
     "vla_eval": ("vla_eval", VLA_EVAL),
+    "mani_skill": ("mani_skill", MANI_SKILL),
+    "lerobot": ("lerobot", "lerobot:pusht/PushT-v0"),
 }
 
 

@@ -68,6 +68,7 @@ async fn an_unavailable_policy_charges_no_rollout() {
             ("unknown", "no such policy here"),
             ("of-another-version", "it uses policy protocol version 2"),
             ("hungry", "9 executed actions per query, but a horizon of 8"),
+            ("foreign", "camera `front` beside agentview and robot0_eye_in_hand"),
         ],
     )
     .await;

@@ -92,6 +92,7 @@ impl Policy for Service {
             "unknown" => return Err(Status::not_found("no such policy here")),
             "of-another-version" => about.protocol_version += 1,
             "hungry" => about.execute = HORIZON + 1,
+            "foreign" => about.cameras = vec![camera("front")],
             "by-heart" => about.language = Language::CanonicalOnly as i32,
             "observing" => {
                 about.cameras = ["agentview", "robot0_eye_in_hand"].map(camera).to_vec();

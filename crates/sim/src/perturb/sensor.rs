@@ -27,14 +27,26 @@ const TRUNCATE_SIGMAS: f64 = 4.0;
 pub enum FrameSource {
     Agentview,
     Wrist,
+    /// A camera of another simulator, by the lane of its noise.
+    Other(u32),
 }
 
 impl FrameSource {
-    /// Cameras in the order in which they draw from NumPy's stream.
+    /// LIBERO's cameras in the order in which they draw from NumPy's stream.
     pub const ALL: [Self; 2] = [Self::Agentview, Self::Wrist];
 
+    /// Returns a camera of another simulator, whose lane follows from its name (FNV-1a).
+    pub fn other(name: &str) -> Self {
+        let mix = |hash: u32, byte| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+        Self::Other(name.bytes().fold(0x811c_9dc5, mix) | 1 << 31)
+    }
+
     const fn lane(self) -> u32 {
-        self as u32
+        match self {
+            Self::Agentview => 0,
+            Self::Wrist => 1,
+            Self::Other(lane) => lane,
+        }
     }
 }
 
@@ -83,7 +95,7 @@ impl SensorStage {
     /// policy that requests few pictures, or one camera, gets the same pixels as a policy that
     /// requests all. In the `reference` realisation, both cameras draw from one stream at every
     /// step, so noise for pictures that were not requested is drawn and discarded; both cameras
-    /// must then have the same size.
+    /// must then have the same size. Cameras of other simulators get the first one's noise.
     ///
     /// # Panics
     /// If `rgb` is not `width` × `height` × 3 bytes.
@@ -155,7 +167,8 @@ impl SensorStage {
                 }
             }
             FrameNoise::Reference(frames) => {
-                let index = step as usize * FrameSource::ALL.len() + source.lane() as usize;
+                let place = FrameSource::ALL.iter().position(|known| *known == source);
+                let index = step as usize * FrameSource::ALL.len() + place.unwrap_or(0);
                 let mut rng = frames.generator_at(index, values.len());
                 for value in values {
                     *value += rng.normal(0.0, sigma);
@@ -413,6 +426,9 @@ mod tests {
         assert_eq!(pictures[2], expected);
         assert_ne!(pictures[1], expected, "different steps have different noise");
         assert_ne!(pictures[0], expected, "different cameras have different noise");
+        let [front, side] =
+            ["front", "side"].map(|name| corrupted(&mut combined, FrameSource::other(name), 4));
+        assert!(front != side && front != expected && side != expected);
     }
 
     #[test]
