@@ -53,12 +53,13 @@ pub(crate) enum Suite {
 const SIMULATORS: [(&str, &[&str]); 7] = [
     ("aloha", &["gym-aloha==0.1.5"]),
     ("lerobot", &["lerobot[pusht]==0.4.4"]),
-    ("mani_skill", &["mani_skill==3.0.1", "torch"]),
     ("metaworld", &["metaworld==3.1.1", "packaging"]),
     ("pusht", &["gym-pusht==0.1.8"]),
     // robosuite 1.5.2 accepts any later MuJoCo, but does not run with MuJoCo 4.
     ("robosuite", &["robosuite==1.5.2", "mujoco==3.3.7", "gymnasium>=1.1", "h5py"]),
     ("vla_eval", &["vla-eval==0.8.0", "gymnasium[mujoco]>=1.1"]),
+    // Last, because it needs a GPU's Vulkan or Mesa 25.
+    ("mani_skill", &["mani_skill==3.0.1", "torch"]),
 ];
 
 /// Packages of optional tests: Kubernetes' schemas, a server of S3's protocol, and Ray.
@@ -317,7 +318,7 @@ fn ray(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
 fn simulators(root: &Path, cache: &Path) -> Result<()> {
     setup::opengl()?;
     let mut table: Vec<String> = Vec::new();
-    for (name, packages) in SIMULATORS {
+    let tested = SIMULATORS.into_iter().try_for_each(|(name, packages)| {
         println!("Testing rollout-env with {name}");
         let dir = cache.join("simulators").join(name);
         step(name, || environment(&dir, &[packages, &["imageio", "pytest>=7"]].concat()))?;
@@ -336,9 +337,10 @@ fn simulators(root: &Path, cache: &Path) -> Result<()> {
         // LeRobot prints to standard output too.
         let rows = rows.lines().filter(|line| line.starts_with('|')).skip(headings);
         table.extend(rows.map(str::to_owned));
-    }
+        Ok(())
+    });
     println!("{}", table.join("\n"));
-    Ok(())
+    tested
 }
 
 /// Checks licences, sources, bans and advisories of the dependencies, if cargo-deny is installed.
