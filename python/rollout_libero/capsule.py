@@ -28,10 +28,9 @@ class Capsule:
         for number, line in enumerate(Path(file).read_text().splitlines(), 1):
             try:
                 record = json.loads(line)
-                saved, actions = record.get("saved_until"), record["actions"]
-                capsules.append(cls(record, len(actions) if saved is None else saved))
-                capsules[-1].max_steps  # noqa: B018
-            except (ValueError, LookupError, TypeError, AttributeError) as error:
+                record["manifest_row"]["rollout_id"]
+                capsules.append(cls(record, record.get("saved_until", len(record["actions"]))))
+            except (ValueError, LookupError, TypeError) as error:
                 raise ValueError(
                     f"failed to read {file}, line {number}: it is no capsule ({error!r}); "
                     "`coordinator jobs --capsule` writes capsules"
@@ -40,13 +39,13 @@ class Capsule:
             raise ValueError(f"failed to read {file}: it has no capsule")
         return capsules
 
+    def __post_init__(self) -> None:
+        last = len(self.record["actions"])
+        if not 0 <= self.steps <= last:
+            raise ValueError(f"failed to start after {self.steps} steps: the rollout has {last}")
+
     def until(self, steps: int) -> Capsule:
         """Returns the same rollout up to another step, 0 to its end."""
-        if not 0 <= steps <= len(self.record["actions"]):
-            raise ValueError(
-                f"failed to start after {steps} steps of {self.row['rollout_id']}: it has "
-                f"{len(self.record['actions'])}"
-            )
         return replace(self, steps=steps)
 
     @property

@@ -157,17 +157,9 @@ class Starts:
         """Advances the sequence past a start."""
         self._turn = start.turn
 
-    def _start(
-        self, row: str, init_state: int | None, turn: int, generator: Any
-    ) -> Start:
+    def _start(self, row: str, init_state: int | None, turn: int, generator: Any) -> Start:
         return Start(
-            row,
-            init_state,
-            self.instruction,
-            self.max_steps,
-            self.execution,
-            turn,
-            generator,
+            row, init_state, self.instruction, self.max_steps, self.execution, turn, generator
         )
 
     def _execution_of(self, row: Mapping[str, Any] | None) -> str:

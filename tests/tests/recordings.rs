@@ -1,5 +1,6 @@
 //! A rollout recorded and replayed through real processes.
 
+use std::path::Path;
 use std::process::{Command, Output};
 
 use tests::programs::{Campaigns, Process, program};
@@ -107,4 +108,56 @@ fn a_capsule_repeats_a_rollout_without_policy_and_coordinator() {
     {
         assert!(errors.contains(words), "{words}: {errors}");
     }
+}
+
+#[test]
+fn a_capsule_receives_what_searches_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("f.capsule");
+    let path = file.to_str().unwrap();
+    let output = folder.path().join("output");
+    let campaigns = Campaigns::with_student(&folder.path().join("data"), "builtin:student-boxes");
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", "first", "--policy", "student", "--endpoint",
+        &campaigns.gateway.url, "--tasks", "libero_object/1", "--axes", "all", "--levels", "L2",
+        "--configs", "1", "--record", "transitions",
+    ]);
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits("first", None);
+    campaigns.succeed(&["explain", "first", "--create"]);
+    campaigns.succeed(&["jobs", "first", "object/t1/simultaneous/L2/c01", "--capsule", path]);
+    let worker = |arguments: &[&str]| {
+        let mut worker = Command::new(program("worker"));
+        worker.args(arguments).args(["--assets", "primitives", "--no-video", "--capsule", path]);
+        worker.arg("--output").arg(&output).output().unwrap()
+    };
+    let endpoint = &campaigns.gateway.url;
+    let rescued = worker(&["rescue", "--endpoint", endpoint, "--policy", "student"]);
+    assert!(rescued.status.success(), "{rescued:?}");
+    let read = |file: &Path| -> serde_json::Value {
+        serde_json::from_slice(&std::fs::read(file).unwrap()).unwrap()
+    };
+    let (capsule, rescue) = (read(&file), read(&output.join("rescue.json")));
+    assert!(rescue["saved_until"].is_u64(), "{rescue}");
+    assert_eq!(capsule["saved_until"], rescue["saved_until"]);
+    let minimal: Vec<&str> =
+        capsule["minimal_axes"].as_array().unwrap().iter().filter_map(|set| set.as_str()).collect();
+    let printed = worker(&["rollout"]);
+    let printed = String::from_utf8_lossy(&printed.stdout);
+    let sets = format!("smallest sets of axes with this outcome: {}", minimal.join(", "));
+    let step = format!("saved if its perturbations end at step {}, and", rescue["saved_until"]);
+    assert!(!minimal.is_empty() && printed.contains(&sets), "{sets}: {printed}");
+    assert!(printed.contains(&step), "{step}: {printed}");
+
+    let other = worker(&["rescue", "--endpoint", endpoint, "--policy", "noop"]);
+    let errors = String::from_utf8_lossy(&other.stderr);
+    assert!(errors.contains("acts otherwise than in the capsule"), "{errors}");
+
+    let twice = std::fs::read_to_string(&file).unwrap().repeat(2);
+    std::fs::write(&file, &twice).unwrap();
+    let several = worker(&["rescue", "--endpoint", endpoint, "--policy", "student"]);
+    let errors = String::from_utf8_lossy(&several.stderr);
+    assert!(errors.contains("it holds 2 rollouts"), "{errors}");
+    assert_eq!(std::fs::read_to_string(&file).unwrap(), twice);
 }

@@ -340,6 +340,14 @@ fn wide_enough(
 
 fn run_rescue(mut arguments: RescueArguments) -> anyhow::Result<()> {
     let mut capsule = arguments.capsule.as_deref().map(read_capsule).transpose()?;
+    if let Some(file) = &arguments.capsule {
+        let count = std::fs::read_to_string(file)?.lines().count();
+        anyhow::ensure!(
+            count == 1,
+            "write a step into {}: it holds {count} rollouts; name one to `coordinator jobs`",
+            file.display()
+        );
+    }
     let row = match (&capsule, arguments.id) {
         (Some(capsule), _) => {
             let provenance = &capsule.measurement.provenance;
@@ -371,7 +379,9 @@ fn run_rescue(mut arguments: RescueArguments) -> anyhow::Result<()> {
     if let (Some(capsule), Some(file)) = (&mut capsule, &arguments.capsule) {
         capsule.saved_until = rescued.saved_until;
         let text = serde_json::to_string(capsule)? + "\n";
-        std::fs::write(file, text).with_context(|| format!("write {}", file.display()))?;
+        let part = file.with_added_extension("part");
+        let written = std::fs::write(&part, text).and_then(|()| std::fs::rename(&part, file));
+        written.with_context(|| format!("write {}", file.display()))?;
     }
     let summary = match (rescued.saved_until, rescued.lost_from) {
         (None, _) => "not saved by ending its perturbations at any tried step".to_owned(),
