@@ -120,13 +120,13 @@ fn a_capsule_receives_what_searches_found() {
     #[rustfmt::skip]
     campaigns.succeed(&[
         "campaign", "create", "--name", "first", "--policy", "student", "--endpoint",
-        &campaigns.gateway.url, "--tasks", "libero_object/1", "--axes", "all", "--levels", "L2",
-        "--configs", "1", "--record", "transitions",
+        &campaigns.gateway.url, "--tasks", "libero_object/2", "--axes", "all", "--levels", "L2",
+        "--configs", "0", "--record", "transitions",
     ]);
     let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("first", None);
     campaigns.succeed(&["explain", "first", "--create"]);
-    campaigns.succeed(&["jobs", "first", "object/t1/simultaneous/L2/c01", "--capsule", path]);
+    campaigns.succeed(&["jobs", "first", "object/t2/simultaneous/L2/c00", "--capsule", path]);
     let worker = |arguments: &[&str]| {
         let mut worker = Command::new(program("worker"));
         worker.args(arguments).args(["--assets", "primitives", "--no-video", "--capsule", path]);
