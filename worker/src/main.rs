@@ -379,7 +379,7 @@ fn run_rescue(mut arguments: RescueArguments) -> anyhow::Result<()> {
     if let (Some(capsule), Some(file)) = (&mut capsule, &arguments.capsule) {
         capsule.saved_until = rescued.saved_until;
         let text = serde_json::to_string(capsule)? + "\n";
-        let part = file.with_added_extension("part");
+        let part = file.with_extension("part");
         let written = std::fs::write(&part, text).and_then(|()| std::fs::rename(&part, file));
         written.with_context(|| format!("write {}", file.display()))?;
     }
