@@ -13,7 +13,7 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use benchmark::attempt::Capsule;
 use benchmark::family::protocol::Protocol;
-use benchmark::{Execution, ManifestRow, RolloutId, TaskRef};
+use benchmark::{Execution, Look, ManifestRow, Realisation, RolloutId, TaskRef};
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
 use terminal::counted;
@@ -179,10 +179,8 @@ fn run_rollout(mut arguments: RolloutArguments) -> anyhow::Result<()> {
     let capsule = arguments.capsule.as_deref().map(read_capsule).transpose()?;
     let mut row = match (&own_task, arguments.id, &capsule) {
         (.., Some(capsule)) => {
-            let provenance = &capsule.measurement.provenance;
-            arguments.realisation = provenance.realisation.parse()?;
-            arguments.replicate = capsule.replicate;
-            arguments.simulator.look = provenance.pin.look;
+            (arguments.realisation, arguments.replicate, arguments.simulator.look) =
+                settings_of(capsule)?;
             // The actions are those that were executed while answers were under way, too.
             ManifestRow { execution: Execution::Wait, ..capsule.manifest_row.clone() }
         }
@@ -272,6 +270,11 @@ fn read_capsule(file: &Path) -> anyhow::Result<Capsule> {
     })
 }
 
+fn settings_of(capsule: &Capsule) -> anyhow::Result<(Realisation, u32, Look)> {
+    let provenance = &capsule.measurement.provenance;
+    Ok((provenance.realisation.parse()?, capsule.replicate, provenance.pin.look))
+}
+
 /// Compares a repetition with its capsule; fails if anything differs that the actions determine.
 fn compare(capsule: &Capsule, repeated: &Finished, asset_pack: &str) -> anyhow::Result<()> {
     let pins = capsule.other_pins(asset_pack, &Simulator::mujoco_version());
@@ -350,10 +353,8 @@ fn run_rescue(mut arguments: RescueArguments) -> anyhow::Result<()> {
     }
     let row = match (&capsule, arguments.id) {
         (Some(capsule), _) => {
-            let provenance = &capsule.measurement.provenance;
-            arguments.realisation = provenance.realisation.parse()?;
-            arguments.replicate = capsule.replicate;
-            arguments.simulator.look = provenance.pin.look;
+            (arguments.realisation, arguments.replicate, arguments.simulator.look) =
+                settings_of(capsule)?;
             capsule.manifest_row.clone()
         }
         (None, Some(id)) => benchmark::row_of(id)?,

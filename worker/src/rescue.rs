@@ -95,14 +95,13 @@ pub struct Tried {
     pub placebo_success: Option<bool>,
 }
 
-/// What to search, and where to write.
+/// A failing rollout and a folder for the findings.
 pub struct Request<'a> {
     pub assignment: &'a Assignment,
-    /// What the failing rollout must equal.
+    /// The failing rollout as it ran in its campaign; a policy that acts otherwise is refused.
     pub capsule: Option<&'a Capsule>,
     /// True if the failed and the saved rollout are filmed.
     pub films: bool,
-    /// A folder for the findings.
     pub output: &'a Path,
 }
 
