@@ -5,8 +5,8 @@
         --weights runs/first/student.safetensors
 
 LIBERO's samplers place the objects of every episode, except of those that begin in the states of
-``--capsules``: the benchmark's released initial states are not used. Earlier shards are kept: a
-further run adds shards with new seeds.
+``--capsules``; only these have released initial states. Earlier shards are kept: a further run adds
+shards with new seeds.
 """
 
 import argparse

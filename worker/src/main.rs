@@ -353,6 +353,11 @@ fn run_rescue(mut arguments: RescueArguments) -> anyhow::Result<()> {
     }
     let row = match (&capsule, arguments.id) {
         (Some(capsule), _) => {
+            anyhow::ensure!(
+                capsule.is_of_libero(),
+                "rescue {}: name a rollout of LIBERO's own forty tasks",
+                capsule.manifest_row.id
+            );
             (arguments.realisation, arguments.replicate, arguments.simulator.look) =
                 settings_of(capsule)?;
             capsule.manifest_row.clone()

@@ -80,8 +80,8 @@ impl Start {
     }
 
     /// Starts the rollout in an environment of its scene and runs the settling steps.
-    /// Perturbations use the matched realisation, or that of the capsule. Returns the conditions that change actions
-    /// and frames; `None` if the start has no manifest row.
+    /// Perturbations use the matched realisation, or that of the capsule. Returns the conditions
+    /// that change actions and frames; `None` if the start has no manifest row.
     ///
     /// # Errors
     /// If `ready` is needed and missing, the task has no such initial state, a state has the wrong
@@ -139,6 +139,12 @@ impl Repeated {
         environment: &mut Environment,
     ) -> PyResult<Conditions> {
         let Capsule { manifest_row: row, measurement, actions, path, .. } = &*self.capsule;
+        if !self.capsule.is_of_libero() {
+            return Err(invalid(format_args!(
+                "begin in {}: capsules of LIBERO's own forty tasks can be begun in",
+                row.id
+            )));
+        }
         let realisation = measurement.provenance.realisation.parse().map_err(value)?;
         let mut conditions = begin_row(ready, environment, row, realisation)?;
         for action in actions.iter().take(self.steps) {

@@ -74,6 +74,20 @@ def test_a_wrong_capsule_is_named(capsules, tmp_path):
     envs = rollout_libero.TrainingEnvironment(1, failures=moved, **SETTINGS)
     with pytest.raises(ValueError, match="moves otherwise than in the capsule"):
         envs.reset()
+    bddl, states = (
+        f"{folder}/libero_object/pick_up_the_alphabet_soup_and_place_it_in_the_basket.{ending}"
+        for folder, ending in (("bddl_files", "bddl"), ("init_files", "pruned_init"))
+    )
+    own = {"folder": "libero", "bddl": bddl, "states": states, "start": "initial-state",
+           "seed": 0, "changes": {"view": [0, 0, 100, 0, 0], "noise": 2}}  # fmt: skip
+    first["manifest_row"] |= {
+        "rollout_id": "object/t0/plus:noise_2/i00", "axis": "variant", "level": "L0",
+        "config": None, "init_slot": 0, "init_id": 0, "protocol": "plus-official", "own": own,
+        "perturb": {},
+    }  # fmt: skip
+    moved.write_text(json.dumps(first))
+    with pytest.raises(ValueError, match="LIBERO's own forty tasks"):
+        rollout_libero.TrainingEnvironment(1, failures=moved, **SETTINGS).reset()
     with pytest.raises(ValueError, match="line 3: it is no capsule"):
         rollout_libero.TrainingEnvironment(1, failures=broken, **SETTINGS)
     with pytest.raises(ValueError, match="give starts, or make the environment with failures"):

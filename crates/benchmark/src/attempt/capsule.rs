@@ -37,6 +37,11 @@ impl Capsule {
         serde_json::from_str(text.lines().next().unwrap_or_default())
     }
 
+    /// Returns true if the rollout is of LIBERO's own forty tasks, whose files every simulator has.
+    pub fn is_of_libero(&self) -> bool {
+        self.manifest_row.id.variant().is_none() && self.manifest_row.simulator.is_none()
+    }
+
     /// Names what a repetition does not reproduce: outcome, digests, or the robot's path.
     pub fn differences(&self, repeated: &RolloutResult, motion: &Motion) -> Vec<String> {
         let (was, is) = (&self.measurement.result, repeated);
